@@ -3,6 +3,12 @@ import { html } from "../lib.js";
 import { devicesOf, exposure, stateWords, values } from "../devices.js";
 import { clock, duration, hourMinute, number, plain } from "../format.js";
 import { arrived, Picture } from "../image.js";
+import { Night } from "../night.js";
+import { nightOf } from "./frames.js";
+import { useGet } from "../api.js";
+import { SkyMap } from "../sky.js";
+import { useSite } from "../site.js";
+import { useForecast } from "./schedule.js";
 import { Age, Card, Empty, Icon, Priority, Stat, Table, Time, standing } from "../parts.js";
 import { ageOf, quality, skyNow, tick, useTopic } from "../store.js";
 import { activity } from "./network.js";
@@ -79,11 +85,30 @@ export function Devices({ id, states }) {
         <td class="full"><span class="row wrap">${values(device).map(([value, unit], i) => html`<span class="nw" key=${i}><b>${value}</b> ${unit}</span>`)}</span></td><td class="num"><${Age} s=${device.age} worth=${device.worth} /></td><td class="num hidep mm">${plain(device.entry.period_s)} s</td>`} />` : html`<p class="m">No device has published yet.</p>`}<//>`;
 }
 
+/** Past, now and forecast on one axis. */
+function NightCard({ id, states, site }) {
+  const schedule = body(states, `${id}/observatory/schedule/state`);
+  const night = skyNow() && nightOf(skyNow());
+  const report = useGet(night && `/api/v1/telescopes/${id}/nights/${night}/report`, 60);
+  const plan = useForecast(id, schedule?.revision);
+  if (!skyNow()) return null;
+  return html`<${Card} name="The night" cls="tl" testid="night" end=${html`<span class="key">exposed</span><span class="key dash">forecast</span><span class="desk">hatched: closed for weather</span>`}><${Night} rows=${schedule?.rows} plan=${plan?.rows} done=${report.data?.timeline} site=${site} now=${skyNow()} /><//>`;
+}
+
+function Sky({ states, site }) {
+  const devices = devicesOf(states);
+  const mount = devices.find((device) => device.kind === "telescope");
+  const dome = devices.find((device) => device.kind === "dome");
+  return html`<${Card} name="Sky" end="north up, east left" testid="sky">${site && skyNow() ? html`<${SkyMap} mount=${mount?.worth === "fresh" ? mount.fields : null} dome=${dome?.worth === "fresh" ? dome.fields : null} site=${site} now=${skyNow()} />` : html`<p class="m">Where the telescope stands is not known yet.</p>`}<//>`;
+}
+
 export function Telescope({ id, summary }) {
   tick.value; // eslint-disable-line no-unused-expressions
   const states = useTopic(`tel/${id}`);
+  const site = useSite(id, states);
   if (summary.shared) return html`<${Devices} id=${id} states=${states} />`;
   return html`<${Doing} id=${id} summary=${summary} states=${states} />
-    <div class="grid g2"><${Image} id=${id} summary=${summary} states=${states} /><div class="stack"><${Verdict} id=${id} summary=${summary} states=${states} /><${Command} id=${id} states=${states} /></div></div>
+    <${NightCard} id=${id} states=${states} site=${site} />
+    <div class="grid g3"><${Image} id=${id} summary=${summary} states=${states} /><${Sky} states=${states} site=${site} /><div class="stack"><${Verdict} id=${id} summary=${summary} states=${states} /><${Command} id=${id} states=${states} /></div></div>
     <${Devices} id=${id} states=${states} />`;
 }
