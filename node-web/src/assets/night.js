@@ -2,7 +2,6 @@
 import { html, useEffect, useRef, useSignal } from "./lib.js";
 import { altaz, moon, twilight } from "./astro.js";
 import { clock, hourMinute } from "./format.js";
-import { steps } from "./plane.js";
 
 const LANE = 25;
 const TOP = 22;
@@ -72,7 +71,7 @@ export function Night({ rows = [], plan = [], done = [], site, now, label = "The
   return html`<div class="tl" ref=${place}><svg viewBox=${`0 0 ${W} ${H}`} height=${H} role="img" aria-label=${`${label}: ${rows.map((row) => `${row.action} ${row.object ?? ""} ${hourMinute(row.start_utc)} to ${hourMinute(row.end_utc)}, ${row.status}`).join("; ")}`}>
     ${site && twilight(t0, t1, site).map((band) => html`<rect key=${band.from} class=${`tw-${band.kind}`} x=${X(band.from).toFixed(1)} y=${TOP} width=${(X(band.to) - X(band.from) + 0.6).toFixed(1)} height=${H - TOP - FOOT} />`)}
     ${ticks(t0, t1, W - left).map((t) => html`<g key=${t}><path class="ax" d=${`M${X(t)} ${TOP}V${H - FOOT}`} /><text x=${X(t)} y=${H - 5} text-anchor="middle">${hourMinute(t)}</text></g>`)}<text x=${left - 8} y=${H - 5} text-anchor="end">UTC</text>
-    ${steps(0, 90, 3).map((altitude) => html`<text key=${altitude} x=${left - 8} y=${Y(altitude) + 4} text-anchor="end">${altitude ? `${altitude}°` : "altitude"}</text>`)}<path class="lim" d=${`M${left} ${Y(30)}H${W - 4}`} />
+    ${[0, 30, 60].map((altitude) => html`<text key=${altitude} x=${left - 8} y=${Y(altitude) + 4} text-anchor="end">${altitude ? `${altitude}°` : "altitude"}</text>`)}<path class="lim" d=${`M${left} ${Y(30)}H${W - 4}`} />
     <path class="ln moonln" d=${path(track)} />${plan.filter((row) => row.altitude_curve?.length).map((row) => html`<path key=${row.row} class="ln s4" d=${path(row.altitude_curve.map((point) => [utc(point.at_utc), point.altitude_deg]))}><title>${row.object ?? ""}</title></path>`)}
     ${lanes.map((name, i) => html`<text key=${name} x=${left - 8} y=${laneY(i) + 14} text-anchor="end">${name}</text>`)}
     ${rows.map((row) => box(utc(row.start_utc), utc(row.end_utc), row.status === "failed" ? "b-err" : "b-plan", row.object ?? row.action, laneY(0), `r${row.row}`, `${row.row + 1}. ${[row.action, row.object].filter(Boolean).join(" ")}, ${row.status}${row.detail ? `: ${row.detail}` : ""}`))}

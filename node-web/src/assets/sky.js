@@ -18,7 +18,7 @@ export function SkyMap({ mount, dome, targets = [], site, now }) {
   const arc = (az, w, r) => { const [a, b] = [az - w, az + w].map((angle) => `${(C - r * Math.sin(angle * rad)).toFixed(1)} ${(C - r * Math.cos(angle * rad)).toFixed(1)}`); return `M${a}A${r} ${r} 0 0 0 ${b}`; };
   const [x, y] = here ? place(here) : [0, 0];
   const sidereal = lst(now, site.lon) / 15;
-  return html`<div class="sky-map"><svg viewBox=${`0 0 ${S} ${S}`} role="img" aria-label=${here ? `Sky map. The telescope points to altitude ${number(here.alt)} degrees, azimuth ${number(here.az)}.` : "Sky map; where the telescope points is not known"}>
+  return html`<div class="sky-map chart"><svg viewBox=${`0 0 ${S} ${S}`} role="img" aria-label=${here ? `Sky map. The telescope points to altitude ${number(here.alt)} degrees, azimuth ${number(here.az)}.` : "Sky map; where the telescope points is not known"}>
     <circle class="frame-bg" cx=${C} cy=${C} r=${R} />${[30, 60].map((alt) => html`<g key=${alt}><circle class="ax" cx=${C} cy=${C} r=${((90 - alt) / 90) * R} fill="none" /><text x=${C + 3} y=${C - ((90 - alt) / 90) * R - 3}>${alt}°</text></g>`)}<path class="ax" d=${`M${C - R} ${C}H${C + R}M${C} ${C - R}V${C + R}`} />
     ${slit !== null && html`<path class="slit" d=${arc(slit, 15, R + 4)} />`}
     ${targets.map((target) => { const at = altaz(target, now, site); if (at.alt < 0) return null; const [tx, ty] = place(at); return html`<g key=${target.name}><path class="ln s4" d=${`M${tx - 4} ${ty}h8M${tx} ${ty - 4}v8`} /><text x=${tx + 8} y=${ty + 4}>${target.name}</text></g>`; })}

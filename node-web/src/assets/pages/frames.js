@@ -25,7 +25,8 @@ function Thumb({ id, frame }) {
     const image = event.target;
     const tries = Number(image.dataset.tries ?? 0) + 1;
     image.dataset.tries = String(tries);
-    if (tries < 8) setTimeout(() => { image.src = `${image.src.split("&try=")[0]}&try=${tries}`; }, RETRY_MS * (1 + Math.random()));
+    const { src } = image;
+    if (tries < 8) setTimeout(() => { image.removeAttribute("src"); image.src = src; }, RETRY_MS * (1 + Math.random()));
   };
   return html`<a class="card frame-card" href=${`/t/${id}/frames/${encodeURIComponent(frame.id)}`} data-testid="frame" data-frame=${frame.id}><span class="thumb"><img loading="lazy" onError=${again} alt=${`${frame.image_type} ${frame.object ?? ""}`} width="200" height="200" src=${`/api/v1/telescopes/${id}/frames/${encodeURIComponent(frame.id)}/preview?size=256`} /></span>
     <span class="about"><span class="row between"><b class="cut">${frame.object ?? frame.image_type}</b><span class="mm nw">${clock(frame.at_utc)}</span></span><span class="row between"><span class="m cut">${frame.filter ?? "no filter"} ${plain(frame.exposure_s)} s</span>${flaw(frame) && html`<span class="ink-p3 nw">▼ ${flaw(frame)}</span>`}</span>

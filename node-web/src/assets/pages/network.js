@@ -7,6 +7,7 @@ import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segm
 import { alarm, bySite, doing } from "../shell.js";
 import { ageOf, link, net, quality, skyNow, skySpeed, tick, useTopic } from "../store.js";
 import { devicesOf, known } from "../devices.js";
+import { limitsOf } from "./weather.js";
 
 /** What a telescope does, in a title and a sentence. */
 export function activity(summary, now) {
@@ -62,7 +63,8 @@ function Tile({ summary }) {
       <${CloseButton} id=${summary.id} filled=${level === 1} sm /></div></article>`;
 }
 
-const WEATHER = [["Wind", "wind_mps", "m/s", 0, 25, 1], ["Humidity", "humidity_percent", "%", 0, 100, 0], ["Sky − air", null, "°C", -50, 5, 0], ["Rain", "rain_mm_per_h", "mm/h", 0, 5, 1]];
+/** Name, field, unit, scale, decimals, property of the limit. */
+const WEATHER = [["Wind", "wind_mps", "m/s", 0, 25, 1, "WindSpeed"], ["Humidity", "humidity_percent", "%", 0, 100, 0, "Humidity"], ["Sky − air", null, "°C", -50, 5, 0, "RelativeSkyTemp"], ["Rain", "rain_mm_per_h", "mm/h", 0, 5, 1, "RainRate"]];
 
 /** A site: its weather now, and when it can be safe. Stations belong to the site (`shared`) or to one of its telescopes. */
 function Site({ site, telescopes }) {
@@ -77,13 +79,14 @@ function Site({ site, telescopes }) {
   const icon = { safe: "safe", unsafe: "unsafe" }[now.safety] ?? "unknown";
   const fields = station?.fields ?? {};
   const value = (name) => (name ? fields[name] : known(fields.sky_c) && known(fields.air_c) ? fields.sky_c - fields.air_c : null);
-  const limits = new Map((summary.safety?.limits ?? []).map((limit) => [limit.field, limit]));
+  const verdict = useTopic(`tel/${summary.id}/observatory/safety`)?.get(`${summary.id}/observatory/safety/state`)?.body;
+  const limitOf = (property) => limitsOf(verdict?.inputs, station?.name, property).find((one) => one.side === "above");
   const wait = summary.safety?.time_to_safe_s;
   return html`<section class="card site-c" aria-label=${site} data-testid="site"><div class="row between"><b class="nw">${site}</b><span class="word" data-level=${now.safety === "unknown" && now.concern ? "p1" : now.safety === "safe" ? null : "quiet"}><${Icon} name=${icon} />${now.safety.toUpperCase()}</span></div>
-    ${station ? html`<dl class="vals">${WEATHER.filter(([, name]) => name === null || known(fields[name])).slice(0, 3).map(([label, name, unit, from, to, digits]) => {
+    ${station ? html`<dl class="vals">${WEATHER.filter(([, name]) => name === null || known(fields[name])).slice(0, 3).map(([label, name, unit, from, to, digits, property]) => {
       const v = station.worth === "lost" ? null : value(name);
-      const limit = limits.get(name ?? "sky_minus_air_c");
-      return html`<dt>${label}</dt><dd><${Bullet} value=${v} from=${from} to=${to} limit=${limit?.upper} over=${limit && v !== null && v > limit.upper} /></dd><dd class="v">${v === null || v === undefined ? "—" : html`<b>${number(v, digits)}</b>`} ${limit && html`<span class="desk">of ${number(limit.upper, digits)}</span>`} ${unit}</dd>`;
+      const limit = limitOf(property);
+      return html`<dt>${label}</dt><dd><${Bullet} value=${v} from=${from} to=${to} limit=${limit?.v} over=${limit && v !== null && v > limit.v} /></dd><dd class="v">${v === null || v === undefined ? "—" : html`<b>${number(v, digits)}</b>`} ${limit && html`<span class="desk">of ${number(limit.v, digits)}</span>`} ${unit}</dd>`;
     })}</dl>` : html`<p class="tagline">No weather station of this site is on the bus.</p>`}
     <div class="tagline">${station && quality(ageOf(station.entry), station.entry.period_s) !== "fresh" ? html`<span class="ink-stale">Station silent for ${duration(station.age)}</span>` : wait && now.safety === "unsafe" && skyNow() !== null
       ? html`Safe at the earliest ${clock(skyNow() + wait * 1000)} UTC, <b class="nw">in ${duration(wait)}</b>` : now.safety === "unsafe" ? summary.safety?.reasons?.[0]?.why ?? "" : `${telescopes.length} ${telescopes.length > 1 ? "telescopes" : "telescope"}${skySpeed() !== 1 ? ", simulated" : ""}`}</div></section>`;

@@ -18,7 +18,7 @@ export const PARAMETERS = [
 
 /** Limits of a property, from the verdict's own state: `[{ v, side, text }]`. */
 export function limitsOf(inputs, device, property) {
-  const found = (inputs ?? []).find((input) => input.input === `${device}/${property}`)?.limits ?? [];
+  const found = (inputs ?? []).filter((input) => input.input === `${device}/${property}`).flatMap((input) => input.limits ?? []);
   return found.flatMap((limit) => [
     limit.upper != null && { v: limit.upper, side: "above", text: `closes above ${number(limit.upper)}` },
     limit.lower != null && { v: limit.lower, side: "below", text: `closes below ${number(limit.lower)}` },
@@ -27,8 +27,7 @@ export function limitsOf(inputs, device, property) {
 
 /** Intervals in which the verdict was not safe, as pairs of times. */
 function unsafeTimes(safety, t0, now) {
-  const list = safety?.intervals ?? [];
-  const out = list.map((interval, i) => [interval, Date.parse(interval.from_utc), list[i + 1] ? Date.parse(list[i + 1].from_utc) : now]).filter(([interval]) => interval.verdict !== "safe").map(([, from, to]) => [Math.max(from, t0), to]);
+  const out = (safety?.intervals ?? []).map((interval) => [interval, Date.parse(interval.from_utc), interval.until_utc ? Date.parse(interval.until_utc) : now]).filter(([interval]) => interval.verdict !== "safe").map(([, from, to]) => [Math.max(from, t0), to]);
   return out.filter(([from, to]) => to > from);
 }
 
