@@ -12,7 +12,7 @@
 //! - Nothing at a destination is replaced by other content: `what_is_there_with_other_bytes_is_reported_and_not_overwritten`.
 //! - A night has a manifest only when all its files were read back from the destination:
 //!   `a_night_is_delivered_once_and_its_manifest_lists_what_was_read_back`.
-//! - A kill at any point loses and doubles nothing: `tests/python/test_delivery.py`.
+//! - A kill at any point loses and doubles nothing: `tests/foreign/test_delivery.py`.
 
 pub mod destination;
 pub mod directory;

@@ -15,7 +15,7 @@ import sys
 import tempfile
 
 PROJECT = pathlib.Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(PROJECT / "tests/python"))
+sys.path[:0] = [str(PROJECT / "tests/foreign"), str(PROJECT / "tests/python")]
 
 from transit_night import DEC_DEG, DEPTH, RA_DEG, Fit, Transit, points  # noqa: E402
 

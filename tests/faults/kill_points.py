@@ -2,8 +2,8 @@
 """Kills nodes at random instants of a busy night and counts its frames: what the journal, the FITS files and the
 database say is what the simulator exposed, and every wanted frame is there exactly once.
 
-    kill_points.py                  200 kills, as scripts/test does
-    kill_points.py --kills 2000     as scripts/soak does
+    kill_points.py                  200 kills, as `scripts/proof kills` does
+    kill_points.py --kills 2000     as `scripts/proof soak` does
 
 Some telescopes run side by side, each a night of rounds (kill_night.py): a new schedule of a few short rows is put in the
 file's place, nodes are killed with SIGKILL while it is worked through and started again, the schedule is replaced, and once

@@ -1,7 +1,7 @@
 """Every row and every frame arrives, once, whatever was cut off or dead: judged by what a plain zenoh peer received.
 
 Two archives on one bus. The first one is in a namespace of its own, whose link is cut; the second one has a
-configuration of its own and is killed. `--outage-s 600` is the long form; `--short` is a part of scripts/test.
+configuration of its own and is killed. `--outage-s 600` is the long form; `--short` is a part of `scripts/proof kills`.
 
     tests/faults/store_and_forward.py [--outage-s 12] [--only WORD | --short]
 """

@@ -64,6 +64,11 @@ def is_late(result: Result, allowance_s: float) -> bool:
     return bool(limit_s) and result.took_s is not None and result.took_s > limit_s + allowance_s
 
 
+def late_s(result: Result) -> float:
+    """How long after its bound the first request came."""
+    return max(0.0, result.took_s - result.case.bound.max_s) if result.case.bound and result.took_s is not None else 0.0
+
+
 def p99_over_all(results: list[Result], allowance_s: float) -> tuple[str, bool]:
     """The classes with a p99 together; and whether at most 1 in 100 is late. Of a few dozens one may be."""
     bounded = [r for r in results if r.case.bound and r.case.bound.p99_s and r.took_s is not None]

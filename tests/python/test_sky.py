@@ -19,7 +19,7 @@ from astropy.coordinates import (
 )
 from astropy.time import Time, TimeDelta
 from astropy.utils import iers
-from conftest import PROJECT
+from shared import PROJECT
 
 # times before there were leap seconds to come, and a package whose own Earth orientation is not used
 pytestmark = [

@@ -1,51 +1,47 @@
 // The login page: shown instead of the page where there are users, and left by logging in.
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
-import { execFileSync, spawn } from "node:child_process";
-import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { execFileSync } from "node:child_process";
+import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { binary, comesUp, end, freePort, launch } from "./browser.js";
+import { TEST, binary, configure, end, launch, newPage, startWebNode } from "./browser.js";
 
 const PASSWORD = "four plain words here";
-let node, browser, port, folder, file;
+let node, browser, url, folder, file;
 
 before(async () => {
-  port = await freePort();
   folder = mkdtempSync(join(tmpdir(), "starmesh-login-"));
-  file = join(folder, "observatory.toml");
-  writeFileSync(file, `[observatory]\nsite = "paranal"\ntelescope = "io"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n` +
-    `elevation_m = 2500\n[bus]\nmulticast = false\n[web]\nlisten = "127.0.0.1:${port}"\n`);
+  file = configure(folder);
   execFileSync(binary, ["user", "add", "ana", "--right", "viewer", "--password-file", "-", "--config", file], { input: `${PASSWORD}\n` });
-  node = spawn(binary, ["node", "web", "--config", file], { stdio: "ignore" });
-  await comesUp(node, port);
+  ({ node, url } = await startWebNode(file));
   browser = await launch();
-}, { timeout: 120_000 });
+}, TEST);
 
 after(async () => {
   await browser?.close();
   await end(node, "SIGTERM");
   rmSync(folder, { recursive: true, force: true });
-}, { timeout: 60_000 });
+}, TEST);
 
-test("a person logs in, sees the page, and logs out", { timeout: 120_000 }, async () => {
-  const page = await browser.newPage();
+test("a person logs in, sees the page, and logs out", TEST, async () => {
+  const page = await newPage(browser);
   const broken = [];
   page.on("console", (message) => message.type() === "error" && /Content Security Policy/.test(message.text()) && broken.push(message.text()));
-  await page.goto(`http://127.0.0.1:${port}/t/paranal/io`);
+  await page.goto(`${url}/t/paranal/io`);
   await page.locator("#name").fill("ana");
   await page.locator("#password").fill("not the password");
   await page.locator("#login button").click();
-  await page.locator("#answer", { hasText: "The name or the password is wrong." }).waitFor({ timeout: 20_000 });
+  await page.locator("#answer", { hasText: "The name or the password is wrong." }).waitFor();
   assert.equal(await page.locator("#user").count(), 0, "nothing of the page is there yet");
   await page.locator("#password").fill(PASSWORD);
   await page.locator("#password").press("Enter");
-  await page.locator("#user", { hasText: "ana" }).waitFor({ timeout: 20_000 });
-  await page.locator('body[data-link="live"]').waitFor({ timeout: 20_000 });
+  await page.locator("#user", { hasText: "ana" }).waitFor();
+  await page.locator('body[data-link="live"]').waitFor();
   assert.equal(new URL(page.url()).pathname, "/t/paranal/io", "the page that was asked for");
   assert.equal(await page.evaluate(() => document.cookie), "", "no script sees the session");
   await page.locator("#user button").click();
-  await page.locator("#login").waitFor({ timeout: 20_000 });
+  await page.locator("#login").waitFor();
   // longer than a page may be without drawing itself: the login page is not called broken
   await page.waitForTimeout(7000);
   assert.equal(await page.locator("#login button").isVisible(), true);
@@ -53,14 +49,14 @@ test("a person logs in, sees the page, and logs out", { timeout: 120_000 }, asyn
   await page.close();
 });
 
-test("a page whose user is removed becomes the login page", { timeout: 120_000 }, async () => {
-  const page = await browser.newPage();
-  await page.goto(`http://127.0.0.1:${port}/`);
+test("a page whose user is removed becomes the login page", TEST, async () => {
+  const page = await newPage(browser);
+  await page.goto(`${url}/`);
   await page.locator("#name").fill("ana");
   await page.locator("#password").fill(PASSWORD);
   await page.locator("#login button").click();
-  await page.locator('body[data-link="live"]').waitFor({ timeout: 20_000 });
+  await page.locator('body[data-link="live"]').waitFor();
   execFileSync(binary, ["user", "remove", "ana", "--config", file]);
-  await page.locator("#login").waitFor({ timeout: 30_000 });
+  await page.locator("#login").waitFor();
   await page.close();
 });

@@ -9,7 +9,7 @@ import sys
 
 
 def test_two_nodes_meet_with_nothing_configured(starmesh, tmp_path):
-    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/test does)"
+    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/setup does)"
     script = pathlib.Path(__file__).with_name("multicast_meeting.sh")
     done = subprocess.run(["unshare", "--net", "bash", str(script), starmesh, str(tmp_path)],
                           capture_output=True, text=True, timeout=120, env={**os.environ, "PYTHON": sys.executable})

@@ -1,12 +1,7 @@
-"""Two plate solvers and astropy on the same frames: fields of the real sky, drawn through astropy's WCS.
-
-Starmesh is asked with a hint and without one; the other solver is Debian's `solve-field` (astrometry.net) with the index
-files of Debian's packages, which know nothing of our catalogue. scripts/setup installs both where there is apt-get.
-"""
+"""Fields of the real sky, drawn through astropy's WCS with noise from fixed seeds, and what `starmesh solve` says of them."""
 
 import json
 import pathlib
-import shutil
 import subprocess
 
 import numpy as np
@@ -17,8 +12,6 @@ from shipped_sky import stars
 
 SHAPE = (1000, 800)
 SCALE_ARCSEC_PX = 8.0
-INDEX = pathlib.Path("/usr/share/astrometry")
-SOLVE_FIELD = shutil.which("solve-field")
 # centre (deg), position angle of +y (deg), mirror image
 FIELDS = [(84.0, 4.0, 30.0, False), (211.0, -62.0, -130.0, True), (0.4, 86.0, 75.0, True), (150.0, -31.0, 170.0, False)]
 
@@ -65,20 +58,10 @@ def apart_px(one: WCS, other: WCS) -> float:
 def ours(starmesh: str, frame: pathlib.Path, *options: str) -> WCS:
     """What `starmesh solve` answers, by our own means alone."""
     command = [starmesh, "solve", "--json", *options, str(frame)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env={"PATH": "/nowhere"})
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, env={"PATH": "/nowhere"})
     answer = json.loads(done.stdout)
     assert answer["solved"] and answer["matched"] >= 10 and answer["false_alarm"] < 1e-6, answer
     return tan(*(answer[key] for key in ("ra_deg", "dec_deg", "scale_arcsec_px", "rotation_deg", "mirrored")))
-
-
-def theirs(frame: pathlib.Path) -> WCS:
-    """What solve-field answers when it is given the scale to 10 %, and no place."""
-    wcs = frame.with_suffix(".wcs")
-    scales = ["--scale-units", "arcsecperpix", "--scale-low", "7.2", "--scale-high", "8.8"]
-    command = [SOLVE_FIELD, "--overwrite", "--no-plots", "--cpulimit", "60", *scales, "--wcs", str(wcs), str(frame)]
-    subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=frame.parent)
-    assert wcs.exists(), f"solve-field found nothing in {frame}"
-    return WCS(fits.getheader(wcs))
 
 
 @pytest.fixture(scope="module")
@@ -91,26 +74,3 @@ def drawn(tmp_path_factory):
         draw(frame, truth, sky, number)
         frames.append((frame, truth))
     return frames
-
-
-def test_starmesh_agrees_with_the_wcs_that_astropy_drew(starmesh, drawn):
-    for frame, truth in drawn:
-        ra, dec = truth.wcs.crval
-        place = [f"--ra-deg={ra}", f"--dec-deg={dec - 0.7}", "--scale-arcsec-px=8.1"]
-        hinted, blind = ours(starmesh, frame, *place), ours(starmesh, frame, "--scale-arcsec-px=8.1")
-        figures = apart_px(truth, hinted), apart_px(truth, blind)
-        print(f"{frame.name}: Starmesh with a hint {figures[0]:.3f} px off, without {figures[1]:.3f} px (worst corner)")
-        assert max(figures) < 0.2, frame
-
-
-def test_starmesh_and_solve_field_agree(starmesh, drawn):
-    if SOLVE_FIELD is None or not list(INDEX.glob("index-tycho2-1*.fits")):
-        # said aloud, and never counted as passed
-        pytest.skip("solve-field: 0 of 4 run: astrometry.net or its Tycho-2 index files are not installed")
-    for frame, truth in drawn:
-        other = theirs(frame)
-        blind = ours(starmesh, frame, "--scale-arcsec-px=8.1")
-        between, their_error = apart_px(blind, other), apart_px(truth, other)
-        print(f"{frame.name}: {between:.3f} px between the solvers, solve-field {their_error:.3f} px off (worst corner)")
-        # what is between us is theirs (0.05 to 0.28 px measured): their stars are those of Tycho-2
-        assert between < 0.5, frame

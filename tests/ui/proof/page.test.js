@@ -3,13 +3,23 @@ import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";
+import { createServer } from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { binary, comesUp, end, freePort, launch } from "./browser.js";
+import { binary, comesUp, end, launch } from "../browser.js";
 
 let demo, browser, page, port, folder;
 let output = "";
 const problems = [];
+
+// below the range from which the kernel gives ports to whoever connects
+const freePort = () =>
+  new Promise((resolve) => {
+    const port = 20_000 + Math.floor(Math.random() * 12_000);
+    const server = createServer()
+      .listen(port, "127.0.0.1", () => server.close(() => resolve(port)))
+      .once("error", () => resolve(freePort()));
+  });
 
 before(async () => {
   port = await freePort();
@@ -20,7 +30,7 @@ before(async () => {
   demo = spawn(binary, ["demo", "--speed", "120", "--port", String(port), "--keep", join(folder, "demo")], { env });
   demo.stdout.on("data", (data) => (output += data));
   demo.stderr.on("data", (data) => (output += data));
-  await comesUp(demo, port, () => `:\n${output}`);
+  await comesUp(demo, () => `http://127.0.0.1:${port}`, () => `:\n${output}`);
   browser = await launch();
   page = await browser.newPage({ viewport: { width: 1280, height: 900 } });
   page.on("console", (message) => message.type() === "error" && problems.push(message.text()));

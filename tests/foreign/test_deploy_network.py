@@ -44,7 +44,7 @@ def status_command() -> str:
 
 
 def test_the_network_of_the_document_runs_as_it_is_written(starmesh, tmp_path):
-    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/test does)"
+    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/setup does)"
     assert set(files()) == {f"{name}.toml" for name in HOSTS.values()}
     script = pathlib.Path(__file__).with_name("deploy_network.sh")
     command = ["unshare", "--net", "bash", str(script), sys.executable, "-B", __file__, starmesh, str(tmp_path)]

@@ -76,7 +76,7 @@ def test_every_frame_has_a_copy_by_every_profile(night):
 
 @pytest.mark.parametrize("profile", GIVEN)
 def test_our_own_check_and_fitsverify_find_nothing(night, starmesh, profile):
-    assert shutil.which("fitsverify"), "fitsverify is missing: apt-get install fitsverify (scripts/test does)"
+    assert shutil.which("fitsverify"), "fitsverify is missing: apt-get install fitsverify (scripts/setup does)"
     files = [str(path) for path in night.copies[profile]]
     checked = subprocess.run([starmesh, "fits", "check", *files, "--profile", profile], capture_output=True, text=True)
     assert checked.returncode == 0, checked.stdout

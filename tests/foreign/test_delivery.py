@@ -14,10 +14,10 @@ import subprocess
 
 import duckdb
 from astropy.io import fits
-from conftest import PROJECT
 from deliveries import (SECRET, Site, add_copies, add_store, block, files, frames_below, is_whole, manifests_below, night,  # noqa: F401 (fixtures)
                         process, site, store, tmpfs, until)
 from ports import free_port
+from shared import PROJECT
 
 
 def test_a_night_goes_into_a_folder_as_the_document_says(site, tmp_path):

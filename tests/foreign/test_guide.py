@@ -7,13 +7,13 @@ import sys
 
 import guide
 import pytest
-from conftest import PROJECT
+from shared import PROJECT
 
 DOCUMENT = PROJECT / "docs/operator/first-night.md"
 
 
 def test_the_guide_leads_from_an_empty_directory_through_a_night_with_rain(starmesh, tmp_path):
-    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/test does)"
+    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/setup does)"
     script = pathlib.Path(guide.__file__)
     done = subprocess.run(["unshare", "--net", sys.executable, "-B", str(script), starmesh, str(DOCUMENT), str(tmp_path)],
                           capture_output=True, text=True, timeout=900)

@@ -125,7 +125,7 @@ listen = "127.0.0.1:{self.web}"
         """Writes rows that start one after another from now on and may run for so long; each has the further fields."""
         start = datetime.datetime.now(datetime.timezone.utc)
         end = start + datetime.timedelta(seconds=seconds)
-        lines = ["// written by tests/python/site_under_test.py"]
+        lines = ["// written by tests/foreign/site_under_test.py"]
         for index, (action, value) in enumerate(rows):
             at = start + datetime.timedelta(milliseconds=index)
             lines.append(json.dumps({"device_name": "camera_1", "action_type": action, "action_value": value,

@@ -281,7 +281,7 @@ def test_a_cube_has_the_pixels_of_the_frames_and_a_row_for_each(night, starmesh)
 
 
 def test_fitsverify_finds_neither_errors_nor_warnings(night):
-    assert shutil.which("fitsverify"), "fitsverify is missing: apt-get install fitsverify (scripts/test does)"
+    assert shutil.which("fitsverify"), "fitsverify is missing: apt-get install fitsverify (scripts/setup does)"
     files = [str(path) for path in night.site.fits()]
     verdict = subprocess.run(["fitsverify", *files], capture_output=True, text=True)
     assert verdict.returncode == 0, verdict.stdout

@@ -19,8 +19,8 @@ import time
 import boto3
 import pytest
 from astropy.io import fits
-from conftest import PROJECT
 from ports import free_port
+from shared import PROJECT
 
 DOCUMENT = PROJECT / "docs/operator/delivery.md"
 VENV = pathlib.Path(sys.executable).parent

@@ -7,12 +7,12 @@ import subprocess
 import sys
 
 import pytest
-from conftest import PROJECT
+from shared import PROJECT
 from test_imported_sites import templates  # noqa: F401: a fixture
 
 
 def type_lines(section: str, starmesh: str, home: pathlib.Path) -> dict:
-    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/test does)"
+    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/setup does)"
     script = pathlib.Path(__file__).with_name("import_document.py")
     document = PROJECT / "docs/operator/import.md"
     done = subprocess.run(["unshare", "--net", sys.executable, "-B", str(script), section, starmesh, str(document), str(home)],

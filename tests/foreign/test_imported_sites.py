@@ -9,14 +9,14 @@ import zipfile
 
 import pytest
 from astropy.io import fits
-from conftest import PROJECT
+from shared import PROJECT
 
 # read for its templates where the tests run; no part of it becomes part of this project
 PREDECESSOR = "astra==1.2.0"
 
 
 def night(name: str, starmesh: str, old: pathlib.Path, folder: pathlib.Path) -> dict:
-    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/test does)"
+    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/setup does)"
     script = pathlib.Path(__file__).with_name("imported_site.py")
     done = subprocess.run(["unshare", "--net", sys.executable, "-B", str(script), name, starmesh, str(old), str(folder)],
                           capture_output=True, text=True, timeout=400)

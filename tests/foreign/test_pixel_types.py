@@ -190,7 +190,7 @@ def test_funpack_and_our_own_copy_restore_the_same_file_with_right_sums(night, s
     command = [starmesh, "fits", "convert", *map(str, night.files), "--profile", "astra", "--out", str(tmp_path)]
     made = subprocess.run(command, capture_output=True, text=True)
     assert made.returncode == 0, made.stderr
-    assert shutil.which("funpack"), "funpack is missing: apt-get install libcfitsio-bin (scripts/test does)"
+    assert shutil.which("funpack"), "funpack is missing: apt-get install libcfitsio-bin (scripts/setup does)"
     for number, path in enumerate(night.files):
         copy = tmp_path / path.name.removesuffix(".fz")
         if is_tiled(path):
