@@ -19,11 +19,15 @@ macro_rules! assets {
 
 /// Path and content of each asset.
 const ASSETS: &[(&str, &[u8])] = assets! {
-    "starmesh.css" "live.css" "favicon.svg" "manifest.webmanifest" "fonts/inter-var.woff2" "fonts/jetbrains-mono.woff2"
-    "theme.js" "login.js" "user.js" "app.js" "lib.js" "store.js" "api.js" "route.js" "format.js" "parts.js" "shell.js" "close.js"
-    "devices.js" "image.js" "pages.js" "pages/network.js" "pages/telescope.js"
-    "vendor/preact.js" "vendor/hooks.js" "vendor/signals-core.js" "vendor/signals.js" "vendor/htm.js" "vendor/uplot.js"
-    "vendor/uplot.css" "vendor/LICENSES.txt" "fonts/LICENSE-Inter.txt" "fonts/LICENSE-JetBrainsMono.txt"
+    "api.js" "app.js" "astro.js" "chart.js" "close.js" "devices.js" "favicon.svg" "format.js" "history.js"
+    "image.js" "lib.js" "live.css" "login.js" "manifest.webmanifest" "night.js" "pages.js" "parts.js"
+    "pixels.js" "plane.js" "route.js" "shell.js" "site.js" "sky.js" "starmesh.css" "store.js" "theme.js"
+    "user.js" "viewer.js" "fonts/LICENSE-Inter.txt" "fonts/LICENSE-JetBrainsMono.txt" "fonts/inter-var.woff2"
+    "fonts/jetbrains-mono.woff2" "pages/alerts.js" "pages/controls.js" "pages/device.js" "pages/focus.js"
+    "pages/frame.js" "pages/frames.js" "pages/guiding.js" "pages/lightcurve.js" "pages/log.js"
+    "pages/network.js" "pages/nodes.js" "pages/report.js" "pages/schedule.js" "pages/telescope.js"
+    "pages/wall.js" "pages/weather.js" "vendor/LICENSES.txt" "vendor/hooks.js" "vendor/htm.js"
+    "vendor/preact.js" "vendor/signals-core.js" "vendor/signals.js" "vendor/uplot.js"
 };
 const FAVICON: &[u8] = include_bytes!("../assets/favicon.svg");
 const INDEX: &str = include_str!("../assets/index.html");
