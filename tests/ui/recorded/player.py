@@ -3,7 +3,7 @@
 It prints one line of JSON: `bus`, the endpoint to connect to, and `http`, the address of its own server, which has the clock that the
 web node follows, the pixels of the recorded frames, and for a test:
 
-- `GET /orders`: the orders that it was asked.
+- `GET /orders`: the orders that it was asked. `GET /states`: what it publishes, by key.
 - `POST /put` `{KEY: BODY}`: another payload for a state; `null` ends it. `POST /events` `[[KEY, BODY], ...]`: events, once each.
 - `POST /raw` `{KEY: TEXT}`: a payload as it is, valid or not, with each beat. `POST /reset`: the recording again.
 
@@ -216,6 +216,10 @@ def main() -> None:
         def do_GET(self) -> None:
             if self.path == "/simulator/v1/clock":
                 self.give(json.dumps({"utc": player.recording.utc(), "speed": 1.0, "simulated": True}).encode())
+            elif self.path == "/states":
+                with player.lock:
+                    text = json.dumps(player.states)
+                self.give(text.encode())
             elif self.path == "/orders":
                 self.give(json.dumps(player.orders).encode())
             elif self.path.startswith("/frame"):
