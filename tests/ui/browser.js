@@ -46,9 +46,10 @@ export function problemsOf(page) {
 }
 
 /** Writes the configuration of a telescope that has a web node alone, whose page gets a port from the kernel; returns the file. */
-export function configure(folder, { connect = [], clock = "" } = {}) {
+export function configure(folder, { telescope = "paranal/io", connect = [], clock = "" } = {}) {
+  const [site, name] = telescope.split("/");
   const file = join(folder, "observatory.toml");
-  writeFileSync(file, `[observatory]\nsite = "paranal"\ntelescope = "io"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n` +
+  writeFileSync(file, `[observatory]\nsite = "${site}"\ntelescope = "${name}"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n` +
     `elevation_m = 2500\n[bus]\nmulticast = false\nconnect = ${JSON.stringify(connect)}\n${clock && `[clock]\nsimulator = "${clock}"\n`}` +
     `[web]\nlisten = "127.0.0.1:0"\n`);
   return file;
@@ -80,7 +81,7 @@ export async function startRecorded() {
   });
   const { bus, http } = JSON.parse(line);
   const post = (path) => async (body) => assert.ok((await fetch(`${http}${path}`, { method: "POST", body: JSON.stringify(body ?? null) })).ok, path);
-  const { node, url } = await startWebNode(configure(folder, { connect: [bus], clock: http }));
+  const { node, url } = await startWebNode(configure(folder, { telescope: "demo/alpha", connect: [bus], clock: http }));
   const end_ = async () => {
     await end(node, "SIGTERM");
     await end(player, "SIGTERM");
@@ -122,6 +123,6 @@ export async function settled(page) {
   await page.locator('body[data-link="live"]').waitFor();
   await page.waitForFunction(() => {
     const main = document.querySelector("main");
-    return main?.textContent && !/Reading |reading …|Connecting …|received yet/.test(main.textContent);
+    return main?.textContent && !/Reading |reading …|Connecting …/.test(main.textContent);
   });
 }

@@ -44,6 +44,13 @@ export function pointsOf(series, pick = "mean") {
   return points.sort((a, b) => a[0] - b[0]);
 }
 
+/** The points with a gap where much longer than usual nothing came: no line is drawn over a gap. */
+export function broken(points) {
+  const steps = points.slice(1).map(([t], i) => t - points[i][0]).sort((a, b) => a - b);
+  const longest = 6 * (steps[Math.floor(steps.length / 2)] ?? 0);
+  return points.flatMap((point, i) => (i && point[0] - points[i - 1][0] > longest ? [[points[i - 1][0] + 1, null], point] : [point]));
+}
+
 /** The scale of a panel: all its values, and its limits, so that no limit lies outside. */
 function range(panel) {
   let [low, high] = [Infinity, -Infinity];
@@ -91,7 +98,7 @@ function draw(plot, panel, shared) {
     if (limit.text) {
       ctx.fillStyle = css("--ink-2");
       ctx.font = `${11 * devicePixelRatio}px Inter, sans-serif`;
-      ctx.fillText(limit.text, bbox.left + 8 * devicePixelRatio, limit.side === "below" ? at + 14 * devicePixelRatio : at - 5 * devicePixelRatio);
+      ctx.fillText(limit.text, bbox.left + 8 * devicePixelRatio, limit.side === "below" && bbox.top + bbox.height - at > 18 * devicePixelRatio || limit.side !== "below" && at - bbox.top < 18 * devicePixelRatio ? at + 14 * devicePixelRatio : at - 5 * devicePixelRatio);
     }
   }
   for (const [t, colour] of [...(shared.marks ?? []).map((mark) => [mark.t, "--ink-3"]), ...(shared.now ? [[shared.now, "--ink"]] : [])]) {
@@ -194,7 +201,7 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, onZoom, label 
     const to = Math.max(t0, Math.min(t1, from + (step * (t1 - t0)) / 100));
     plot.setCursor({ left: plot.valToPos(to / 1000, "x"), top: 10 });
   };
-  return html`<div class="chart live-chart" ref=${place} tabindex="0" role="img" aria-label=${label ?? `Chart of ${panels.map((panel) => panel.name).join(", ")} over time; arrow keys move the cursor`} onKeyDown=${press}>
+  return html`<div class="chart live-chart" data-testid="chart" ref=${place} tabindex="0" role="img" aria-label=${label ?? `Chart of ${panels.map((panel) => panel.name).join(", ")} over time; arrow keys move the cursor`} onKeyDown=${press}>
     ${panels.map((panel) => html`<div class="panel" key=${panel.name}><div class="row between read"><span class="m">${panel.name}</span><span>${panel.series.filter((one) => !one.quiet).map((one) => {
       const found = nearest(one.points, at.value ?? now ?? t1);
       return html`<span class="nw" key=${one.name}>${one.name && html`<span class="m">${one.name}</span> `}<b>${found ? number(found[1], panel.digits ?? 1) : "—"}</b> </span>`;

@@ -1,5 +1,5 @@
 // What surrounds every page: the rail of telescopes, the clock, the worst alert, the bar of a phone.
-import { html, useEffect, useSignal } from "./lib.js";
+import { html, useEffect, useRef, useSignal } from "./lib.js";
 import { CloseButton, Closing } from "./close.js";
 import { clock, day, duration } from "./format.js";
 import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Words, postureIcon, standing, totals, urgency } from "./parts.js";
@@ -125,9 +125,14 @@ function Banner() {
 export function TelescopeHead({ summary }) {
   const { page, id } = route.value;
   const now = standing(summary);
+  const tabs = useRef(null);
+  useEffect(() => {
+    const current = tabs.current.querySelector("[aria-current]");
+    if (current) tabs.current.scrollLeft = current.offsetLeft - tabs.current.offsetLeft - 40;
+  }, [page]);
   return html`<header class="scope"><div class="scope-h"><h1 tabindex="-1">${summary.telescope_id}</h1>${!summary.shared && html`<${Words} now=${now} lg /><${Mode} now=${now} summary=${summary} />`}<span class="grow"></span>
       <${Age} s=${now.age} worth=${now.worth} after=" ago" />${!summary.shared && html`<${CloseButton} id=${id} named cls="desk" />`}</div>
-    <nav class="tabs" aria-label=${summary.telescope_id}>${TELESCOPE_PAGES.map(([name, word]) => html`<a key=${name} href=${name === "now" ? `/t/${id}` : `/t/${id}/${name}`} aria-current=${page === name ? "page" : null}>${word}</a>`)}</nav></header>`;
+    <nav class="tabs" ref=${tabs} aria-label=${summary.telescope_id}>${TELESCOPE_PAGES.map(([name, word]) => html`<a key=${name} href=${name === "now" ? `/t/${id}` : `/t/${id}/${name}`} aria-current=${page === name ? "page" : null}>${word}</a>`)}</nav></header>`;
 }
 
 function Bottom() {

@@ -10,11 +10,13 @@ web node follows, the pixels of the recorded frames, and for a test:
 States are published twice a second with new numbers, so that they stay fresh at the receiver. Keys are without `starmesh/v1/`.
 """
 
+import array
 import base64
 import copy
 import json
+import math
 import os
-import struct
+import random
 import sys
 import threading
 import time
@@ -29,23 +31,18 @@ BEAT_S = 0.5
 
 
 def stars(width: int, height: int) -> bytes:
-    """A sky with stars, 16 bits a pixel, the same each time."""
-    import array
-
-    row = array.array("H", [700]) * (width * height)
-    seed = 12345
-    for _ in range(90):
-        seed = (1103515245 * seed + 12345) % 2**31
-        x0 = seed % width
-        seed = (1103515245 * seed + 12345) % 2**31
-        y0 = seed % height
-        peak = 200 + (seed // 7) % 9000
-        for y in range(max(0, y0 - 5), min(height, y0 + 6)):
-            for x in range(max(0, x0 - 5), min(width, x0 + 6)):
-                row[y * width + x] = min(65535, row[y * width + x] + int(peak * 2.718281828 ** (-((x - x0) ** 2 + (y - y0) ** 2) / 4.5)))
+    """A noisy sky with stars, 16 bits a pixel, the same each time."""
+    drawn = random.Random(20261126)
+    sky = array.array("H", (max(0, int(drawn.gauss(700, 12))) for _ in range(width * height)))
+    for _ in range(130):
+        x0, y0, peak = drawn.uniform(0, width), drawn.uniform(0, height), 60 * 10 ** drawn.uniform(0, 2.4)
+        for y in range(max(0, int(y0) - 5), min(height, int(y0) + 7)):
+            for x in range(max(0, int(x0) - 5), min(width, int(x0) + 7)):
+                light = peak * math.exp(-((x - x0) ** 2 + (y - y0) ** 2) / 3)
+                sky[y * width + x] = min(65535, sky[y * width + x] + int(light))
     if sys.byteorder == "big":
-        row.byteswap()
-    return row.tobytes()
+        sky.byteswap()
+    return sky.tobytes()
 
 
 class Recording:

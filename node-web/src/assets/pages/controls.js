@@ -5,12 +5,16 @@ import { CloseButton, note } from "../close.js";
 import { clock, duration } from "../format.js";
 import { Card, Dialog, Icon, Loaded, Table, standing } from "../parts.js";
 import { ageOf, tick, useTopic } from "../store.js";
+import { inputValue } from "./weather.js";
 import { me } from "../user.js";
 
 const HOLD_MS = 1500;
 /** Orders with a page of their own. */
 const ELSEWHERE = new Set(["put-schedule", "ack", "shelve", "unshelve"]);
 const name = (word) => { const plain = word.replaceAll("-", " "); return plain[0].toUpperCase() + plain.slice(1); };
+
+/** A sentence in which names of orders stand between backticks. */
+const Words = ({ text }) => String(text).split("`").map((part, i) => (i % 2 ? html`<span class="mono" key=${i}>${part}</span>` : part));
 
 /** Sends nothing unless it is held to its end, by pointer or by key. */
 export function HoldButton({ text, disabled, onDone, cls = "" }) {
@@ -75,7 +79,7 @@ function Order({ id, order, close, reload }) {
     close();
     give(id, order.command, parameters, data.get("reason") ?? "").then(reload);
   };
-  return html`<${Dialog} label=${name(order.command)} close=${close}><h2>${name(order.command)} ${id.split("/")[1]}?</h2><p class="m">${order.meaning}</p>
+  return html`<${Dialog} label=${name(order.command)} close=${close}><h2>${name(order.command)} ${id.split("/")[1]}?</h2><p class="m"><${Words} text=${order.meaning} /></p>
     <form ref=${form} class="stack" onSubmit=${(event) => { event.preventDefault(); if (order.closes) send(); }}>${properties.map(([path, schema]) => html`<${Field} key=${path} path=${path} schema=${schema} required=${(order.parameters.required ?? []).includes(path)} />`)}
       <div class="field"><label for="reason">Why${order.needs_reason ? "" : " (may be left empty)"}</label><div class="in"><input id="reason" name="reason" maxlength="500" required=${order.needs_reason} data-first /></div></div>
       ${order.against.length > 0 && html`<ul class="locks">${order.against.map((text) => html`<li key=${text} class="no"><${Icon} name="x" />${text}</li>`)}</ul>`}
@@ -84,7 +88,7 @@ function Order({ id, order, close, reload }) {
 
 function Group({ title, hint, orders, onChoose }) {
   if (!orders.length) return null;
-  return html`<${Card} name=${title} end=${hint}><ul class="ctls">${orders.map((order) => html`<li class="ctl" key=${order.command} data-testid="order" data-order=${order.command}><div class="grow"><b>${name(order.command)}</b><div class="why">${order.meaning}</div>
+  return html`<${Card} name=${title} end=${hint}><ul class="ctls">${orders.map((order) => html`<li class="ctl" key=${order.command} data-testid="order" data-order=${order.command}><div class="grow"><b>${name(order.command)}</b><div class="why"><${Words} text=${order.meaning} /></div>
     ${!order.may && html`<div class="why">You may not: it needs the right <b>${order.right}</b>.</div>`}${order.may && order.against.length > 0 && html`<div class="why">Now: ${order.against.join("; ")}.</div>`}</div><button type="button" class="btn soft sm" disabled=${!order.may} onClick=${() => onChoose(order)}>${name(order.command)} …</button></li>`)}</ul><//>`;
 }
 
@@ -95,7 +99,7 @@ function MayOpen({ id }) {
   const { inputs = [], reasons = [] } = entry.body;
   const why = new Map(reasons.map((reason) => [reason.input, reason]));
   const left = entry.body.time_to_safe_s;
-  return html`<${Card} name="May the dome open?" end=${entry.body.verdict === "safe" ? "yes" : html`<b class="ink-p2">no, ${reasons.length} of ${Math.max(inputs.length, reasons.length)}</b>`}><ul class="locks">${inputs.map((input) => html`<li key=${input.input} class=${why.has(input.input) ? "no" : ""}><${Icon} name=${why.has(input.input) ? "x" : "check"} />${input.input}<span class="v">${why.get(input.input)?.why ?? input.value}</span></li>`)}
+  return html`<${Card} name="May the dome open?" end=${entry.body.verdict === "safe" ? "yes" : html`<b class="ink-p2">no, ${reasons.length} of ${Math.max(inputs.length, reasons.length)}</b>`}><ul class="locks">${inputs.map((input) => html`<li key=${input.input} class=${why.has(input.input) ? "no" : ""}><${Icon} name=${why.has(input.input) ? "x" : "check"} />${input.input}<span class="v">${why.get(input.input)?.why ?? inputValue(input)}</span></li>`)}
     ${reasons.filter((reason) => !inputs.some((input) => input.input === reason.input)).map((reason) => html`<li key=${reason.input} class="no"><${Icon} name="x" />${reason.input}<span class="v">${reason.why}</span></li>`)}</ul>${left != null && entry.body.verdict !== "safe" && html`<p class="m">At the earliest in ${duration(Math.max(0, left - ageOf(entry)))}.</p>`}<//>`;
 }
 

@@ -33,7 +33,7 @@ export function DevicePage({ id }) {
   const last = device.body.last_command;
   const can = Object.entries(device.about?.can ?? {});
   return html`<${Card} name=${`${name}, ${kind}`} end=${html`<${Age} s=${device.age} worth=${device.worth} after=" ago" />`}>
-      <div class="row wrap">${[["State", stateWords(device)], ...values(device).map(([value, unit]) => [unit, value])].map(([label, value]) => html`<${Stat} key=${label} name=${label} value=${value} worth=${device.worth} />`)}</div>
+      <div class="row wrap gaps">${[["State", stateWords(device)], ...values(device).map(([value, unit]) => [unit, value])].map(([label, value]) => html`<${Stat} key=${label} name=${label} value=${value} worth=${device.worth} />`)}</div>
       ${device.lost && html`<div class="note p2"><div class="grow"><b>No link to the device.</b> ${plain(device.body.link.reason)}</div></div>`}
       ${device.about && html`<p class="m">${[device.about.device_name, device.about.driver, device.about.server && `${device.about.server} number ${device.about.number}`, `interface ${device.about.interface_version}`, device.about.simulated && "simulated"].filter(Boolean).join(" · ")}</p>`}
       ${last && html`<p class="m">Last command: <b>${last.verb}</b> by ${last.from} at ${clock(last.taken_utc)}, ${last.outcome?.is}${last.outcome?.reason ? ` (${last.outcome.reason})` : ""}</p>`}<//>

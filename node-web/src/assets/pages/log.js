@@ -63,7 +63,7 @@ export function Log({ id }) {
   const at = query.get("at");
   const chosen = id ?? query.get("telescope");
   const telescopes = [...net.value.values()];
-  return html`<div class="page-h"><h1 tabindex=${id ? null : "-1"} class=${id ? "vh" : ""}>Log</h1></div>
+  return html`<div class="page-h">${id ? html`<h2>Log</h2>` : html`<h1 tabindex="-1">Log</h1>`}</div>
     <div class="row wrap chips-x"><label class="in"><${Icon} name="search" /><input type="search" placeholder="Text, field or id" aria-label="Search the log" value=${text.value} onInput=${(event) => { text.value = event.target.value; }} /><kbd>/</kbd></label>
       <${Segment} label="Level" options=${[["debug", "All"], ["info", "Info and up"], ["warn", "Warn and up"], ["error", "Error"]]} value=${level.value} onChange=${(value) => { level.value = value; }} />
       ${!id && html`<label class="in"><select aria-label="Telescope" onChange=${(event) => go(withQuery({ telescope: event.target.value || null, at: null }), { replace: true })}><option value="">All telescopes</option>${telescopes.map((one) => html`<option key=${one.id} value=${one.id} selected=${one.id === chosen}>${one.id}</option>`)}</select></label>`}

@@ -12,6 +12,7 @@ import { useForecast } from "./schedule.js";
 import { Age, Card, Empty, Icon, Priority, Stat, Table, Time, standing } from "../parts.js";
 import { ageOf, quality, skyNow, tick, useTopic } from "../store.js";
 import { activity } from "./network.js";
+import { inputValue } from "./weather.js";
 
 const body = (states, key) => states?.get(key)?.body;
 
@@ -49,8 +50,8 @@ function Verdict({ id, summary, states }) {
   return html`<${Card} name="Safety" flush testid="safety" end=${html`${entry.body.verdict} since <${Time} utc=${at} />`}>
     ${[["Keeps it closed", reasons], ["No exposures of the sky", suspended], ["Near a limit", advisories]].map(([lead, list]) => list.length > 0 && html`<ul class="reasons" key=${lead} data-testid="reasons"><li class="tagline">${lead}</li>${list.map((reason) =>
       html`<li key=${reason.input}><b>${reason.input}</b> ${reason.why} ${reason.clears_in_s != null && html`<span class="m nw">can clear in ${duration(Math.max(0, reason.clears_in_s - since))}</span>`}</li>`)}</ul>`)}
-    <${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "s", name: "Speaks for" }, { key: "a", name: "Age", num: true }]} rows=${inputs} keyOf=${(input) => input.input}
-      cells=${(input) => html`<td class="k">${input.input}</td><td>${input.value}</td><td>${input.good ? "safe" : html`<b class="ink-p3">unsafe</b>`}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + since} worth=${quality(since, entry.period_s)} never="never" /></td>`} /><//>`;
+    <${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: "Age", num: true }]} rows=${inputs} keyOf=${(input) => input.input}
+      cells=${(input) => html`<td class="k">${input.input}</td><td>${inputValue(input)}${input.good ? "" : html` <b class="ink-p3">▼ unsafe</b>`}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + since} worth=${quality(since, entry.period_s)} never="never" /></td>`} /><//>`;
 }
 
 function Image({ summary, states, id }) {

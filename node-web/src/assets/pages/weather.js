@@ -2,7 +2,7 @@
 import { html, useSignal } from "../lib.js";
 import { Chart, pointsOf } from "../chart.js";
 import { devicesOf, known } from "../devices.js";
-import { clock, duration, number } from "../format.js";
+import { clock, duration, number, plain } from "../format.js";
 import { SPANS, useHistory } from "../history.js";
 import { Age, Bullet, Card, Empty, Loaded, Segment, Table, Time, Words, standing } from "../parts.js";
 import { bySite } from "../shell.js";
@@ -15,6 +15,13 @@ export const PARAMETERS = [
   ["RainRate", "rain_mm_per_h", "Rain", "mm/h", [0, 10], 1], ["CloudCover", "cloud_percent", "Cloud", "%", [0, 100], 0], ["Pressure", "pressure_hpa", "Pressure", "hPa", [500, 1050], 0],
   ["SkyQuality", "sky_mag_per_arcsec2", "Sky quality", "mag/arcsec²", [0, 22], 2], ["SkyBrightness", "sky_lux", "Sky brightness", "lx", [0, 100], 3], ["StarFWHM", "star_fwhm_arcsec", "Star FWHM", "″", [0, 5], 2],
 ];
+
+/** Value of an input of the verdict, with its unit. */
+export function inputValue({ input, value }) {
+  const unit = PARAMETERS.find(([property]) => property === String(input).split("/").pop())?.[3];
+  const text = plain(value).replace(/^-/, "\u2212").replace(/ deg$/, "°");
+  return unit && /\d$/.test(text) ? `${text} ${unit}` : text;
+}
 
 /** Limits of a property, from the verdict's own state: `[{ v, side, text }]`. */
 export function limitsOf(inputs, device, property) {
@@ -76,7 +83,7 @@ export function Weather({ id, summary }) {
   const inputs = entry?.body.inputs ?? [];
   const stations = devicesOf(states).filter((device) => device.kind === "observingconditions");
   return html`${!summary.shared && html`<div class="grid g-side"><${Reasons} id=${id} summary=${summary} entry=${entry} /><${Card} name="Inputs" flush><${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: "Age", num: true }]} rows=${inputs} keyOf=${(input) => input.input}
-      cells=${(input) => html`<td class="k">${input.good ? "" : "▼ "}${input.input}</td><td>${input.value}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} never="never" /></td>`} /><//></div>`}
+      cells=${(input) => html`<td class="k">${input.good ? "" : "▼ "}${input.input}</td><td>${inputValue(input)}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} never="never" /></td>`} /><//></div>`}
     ${stations.length ? stations.map((device) => html`<${Station} key=${device.key} id=${id} device=${device} inputs=${inputs} safety=${entry?.body} />`) : html`<${Empty} icon="cloud" title="No weather station">None of this telescope or its site is on the bus.<//>`}`;
 }
 
@@ -86,6 +93,6 @@ export function AllWeather() {
   return html`<div class="page-h"><h1 tabindex="-1">Weather</h1></div>${[...bySite([...net.value.values()])].map(([site, telescopes]) => html`<section key=${site} class="stack" aria-label=${site}><h2>${site}</h2><div class="grid g3">${telescopes.map((summary) => {
     const now = standing(summary);
     return html`<section class="card" key=${summary.id}><header><h2><a href=${`/t/${summary.id}/weather`}>${summary.telescope_id}</a></h2></header><${Words} now=${now} />${(summary.safety?.reasons ?? []).map((reason) => html`<p key=${reason.input}><b>${reason.input}</b> ${reason.why}</p>`)}
-      ${summary.safety?.time_to_safe_s != null && now.safety === "unsafe" && html`<p class="m">Safe at the earliest in ${duration(summary.safety.time_to_safe_s)}.</p>`}<a class="btn sm soft" href=${`/t/${summary.id}/weather`}>Limits and history</a></section>`;
+      ${summary.safety?.time_to_safe_s != null && now.safety === "unsafe" && html`<p class="m">Safe at the earliest in ${duration(summary.safety.time_to_safe_s)}.</p>`}<p><a class="btn sm soft" href=${`/t/${summary.id}/weather`}>Limits and history</a></p></section>`;
   })}</div></section>`)}`;
 }
