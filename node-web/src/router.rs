@@ -21,10 +21,12 @@ const LONGEST_BODY: usize = 2 << 20;
 
 /// All routes, behind the check of access (`Gate`) and the question who asks (`authentication`).
 pub fn router(server: Arc<Server>, gate: Gate, authentication: Authentication) -> Router {
+    let pages = page::NETWORK_PAGES.iter().fold(Router::new(), |router, path| router.route(path, get(page::index)));
     Router::new()
-        .route("/", get(page::index))
+        .merge(pages)
         .route("/t/{site}/{telescope}", get(page::index))
-        .route("/assets/{name}", get(page::asset))
+        .route("/t/{site}/{telescope}/{*page}", get(page::index))
+        .route("/assets/{*name}", get(page::asset))
         .route("/favicon.ico", get(page::favicon))
         .merge(api::router())
         .fallback(nothing_here)

@@ -3,13 +3,15 @@
 //! The verdict is the observatory node's own and is never recomputed here; a stale verdict or posture counts as
 //! unknown, because a permit would not outlive it either.
 
+use std::time::Duration;
+
 use bus::MachineTime;
 use contract::device::camera::Frame;
 use contract::node::{NodeState, Stopped};
 use contract::observatory::{
-    ActionNow, Alert, NightState, Posture, RowStatus, SafetyState, ScheduleState, Unsafe, Verdict,
+    ActionNow, Alert, FrameFacts, GuidingState, NightState, Posture, RowStatus, SafetyState, ScheduleState, Unsafe, Verdict,
 };
-use contract::{Address, Chunk, Key, NodeTopic, Part, Role};
+use contract::{Address, Chunk, CommandId, Key, NodeTopic, Part, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 use units::Utc;
@@ -81,6 +83,19 @@ pub struct Face {
     /// The newest image.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub image: Option<ImageCaption>,
+    /// How well it guides and focuses.
+    pub figures: Figures,
+}
+
+/// What the newest frames say of guiding and focus; absent where it is not known, or not of now.
+#[derive(Debug, Clone, Copy, PartialEq, Default, JsonSchema, Serialize)]
+pub struct Figures {
+    /// Root mean square of the guide loop that runs, arcsec.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub guide_rms_arcsec: Option<f64>,
+    /// Median FWHM of the stars of the newest measured frame, arcsec.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fwhm_arcsec: Option<f64>,
 }
 
 /// Ages on this machine's own clock, s; the reader adds the time since it read them.
@@ -213,6 +228,8 @@ pub struct NodeSummary {
     pub quality: Quality,
 }
 
+/// The measures of a frame say something of now for so long.
+const FACTS_OF_NOW: Duration = Duration::from_secs(1800);
 /// An opening that the sky does not allow is given so long to end before it is critical, machine seconds.
 const GRACE_S: f64 = 30.0;
 
@@ -285,6 +302,7 @@ impl Summary {
                     problem: image.problem.clone(),
                 })
             }),
+            figures: fresh_night.map(|_| figures(address, telescope, now)).unwrap_or_default(),
         };
         let ages = Ages {
             age_s: newest.map(|entry| entry.age(now).as_secs_f64()),
@@ -327,6 +345,21 @@ fn stopped_telescope(telescope: &Telescope) -> Option<StoppedTelescope> {
     let closed = (!known.is_empty()).then(|| known.iter().all(|closed| *closed));
     let text = Stopped { closed, ..last }.to_string();
     Some(StoppedTelescope { text, closed })
+}
+
+/// Pixels become arcsec by the scale of the newest solved frame of the same camera.
+fn figures(address: &Address, telescope: &Telescope, now: MachineTime) -> Figures {
+    let facts = telescope.read::<FrameFacts>(&Key::Facts(address.clone(), CommandId(String::new())));
+    let Some((_, facts)) = facts.filter(|(entry, _)| entry.age(now) < FACTS_OF_NOW) else {
+        return Figures::default();
+    };
+    let arcsec = |px: Option<f64>| Some(px? * facts.scale_arcsec_px?).filter(|arcsec| arcsec.is_finite());
+    let guiding = telescope.read::<GuidingState>(&Key::Observatory(address.clone(), Part::Guiding));
+    let rms_px = guiding.and_then(|(entry, guiding)| {
+        let is_of_now = guiding.active && entry.quality(now) == Quality::Fresh && guiding.camera == facts.camera;
+        guiding.rms_px.filter(|_| is_of_now)
+    });
+    Figures { guide_rms_arcsec: arcsec(rms_px), fwhm_arcsec: arcsec(facts.fwhm_px) }
 }
 
 fn safety_words(state: Option<&(&Entry, SafetyState)>, now: MachineTime) -> Safety {

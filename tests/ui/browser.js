@@ -1,11 +1,14 @@
-// What every test of the page needs: the program under test, a web node with its page, and Debian's Chromium.
+// What every test of the page needs: the program under test, a web node with its page, a recorded bus, and Debian's Chromium.
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
-import { writeFileSync } from "node:fs";
+import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { chromium } from "playwright-core";
 
-export const binary = process.env.STARMESH_BIN ?? join(import.meta.dirname, "../../target/debug/starmesh");
+const root = join(import.meta.dirname, "../..");
+export const binary = process.env.STARMESH_BIN ?? join(root, "target/debug/starmesh");
+const python = process.env.STARMESH_PYTHON ?? join(root, "target/venv/bin/python");
 
 /** Nothing takes so long, ms, unless it hangs. */
 export const LIMIT = 120_000;
@@ -26,11 +29,29 @@ export async function newPage(browser, options = {}) {
   return page;
 }
 
+/** What a page must never do: errors of the console, of scripts and of the security policy, and requests to other origins. */
+export function problemsOf(page) {
+  const problems = [];
+  page.on("console", (message) => ["error", "warning"].includes(message.type()) && problems.push(`${page.url()}: ${message.text()}`));
+  page.on("pageerror", (error) => problems.push(`${page.url()}: ${error.stack ?? error}`));
+  page.on("request", (request) => {
+    const { origin, protocol } = new URL(request.url());
+    if (/^(http|ws)s?:$/.test(protocol) && origin.replace("ws:", "http:") !== new URL(page.url()).origin && page.url() !== "about:blank") problems.push(`${page.url()} asks ${request.url()}`);
+  });
+  page.on("dialog", (dialog) => {
+    problems.push(`${page.url()}: a dialog of the browser: ${dialog.message()}`);
+    dialog.dismiss();
+  });
+  return problems;
+}
+
 /** Writes the configuration of a telescope that has a web node alone, whose page gets a port from the kernel; returns the file. */
-export function configure(folder) {
+export function configure(folder, { telescope = "paranal/io", connect = [], clock = "" } = {}) {
+  const [site, name] = telescope.split("/");
   const file = join(folder, "observatory.toml");
-  writeFileSync(file, `[observatory]\nsite = "paranal"\ntelescope = "io"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n` +
-    `elevation_m = 2500\n[bus]\nmulticast = false\n[web]\nlisten = "127.0.0.1:0"\n`);
+  writeFileSync(file, `[observatory]\nsite = "${site}"\ntelescope = "${name}"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n` +
+    `elevation_m = 2500\n[bus]\nmulticast = false\nconnect = ${JSON.stringify(connect)}\n${clock && `[clock]\nsimulator = "${clock}"\n`}` +
+    `[web]\nlisten = "127.0.0.1:0"\n`);
   return file;
 }
 
@@ -44,6 +65,32 @@ export async function startWebNode(file) {
   return { node, url: url() };
 }
 
+/**
+ * A web node on a recorded bus: `{ url, put, events, raw, orders, reset, end }`. The night of the telescope `demo/alpha` is played again
+ * and again, so that everything stays fresh, and the archive's answers are recorded too.
+ */
+export async function startRecorded() {
+  const folder = mkdtempSync(join(tmpdir(), "starmesh-recorded-"));
+  const recorded = join(import.meta.dirname, "recorded");
+  const player = spawn(python, ["-B", join(recorded, "player.py"), join(recorded, "bus.jsonl")], { stdio: ["pipe", "pipe", process.env.KEEP_UI ? "inherit" : "ignore"] });
+  const line = await new Promise((resolve, reject) => {
+    let text = "";
+    player.stdout.on("data", (data) => { text += data; if (text.includes("\n")) resolve(text); });
+    player.once("exit", (code) => reject(new Error(`the player of the recorded bus ended with ${code}: is ${python} made by scripts/setup test?`)));
+    player.once("error", reject);
+  });
+  const { bus, http } = JSON.parse(line);
+  const post = (path) => async (body) => assert.ok((await fetch(`${http}${path}`, { method: "POST", body: JSON.stringify(body ?? null) })).ok, path);
+  const { node, url } = await startWebNode(configure(folder, { telescope: "demo/alpha", connect: [bus], clock: http }));
+  const end_ = async () => {
+    await end(node, "SIGTERM");
+    await end(player, "SIGTERM");
+    rmSync(folder, { recursive: true, force: true });
+  };
+  return { url, node, put: post("/put"), raw: post("/raw"), events: post("/events"), reset: post("/reset"), orders: () => fetch(`${http}/orders`).then((r) => r.json()),
+    states: () => fetch(`${http}/states`).then((r) => r.json()), end: end_ };
+}
+
 /** Waits until the page of a process answers; `url` gives its address once it is known, and `why` completes the message if it does not. */
 export async function comesUp(process, url, why = () => "") {
   const until = Date.now() + LIMIT;
@@ -55,7 +102,27 @@ export async function comesUp(process, url, why = () => "") {
 
 /** Ends a process in the orderly way. */
 export async function end(process, signal) {
-  if (!process || process.exitCode !== null) return;
+  if (!process || process.exitCode !== null || process.signalCode !== null) return;
   process.kill(signal);
   await new Promise((resolve) => process.once("exit", resolve));
+}
+
+/** Names of the pages, from the page itself. */
+export const namesOf = (page) => page.evaluate(() => import("/assets/pages.js").then(({ pages }) => ({ network: Object.keys(pages.network), telescope: Object.keys(pages.telescope) })));
+
+/** Addresses of every page of a telescope of the recorded bus, as the table of pages has them. */
+export async function everyAddress(page, id = "demo/alpha") {
+  const names = await namesOf(page);
+  const network = names.network.map((name) => (name === "network" ? "/" : `/${name}`));
+  const telescope = names.telescope.map((name) => (name === "now" ? `/t/${id}` : `/t/${id}/${name}`));
+  return [...network, ...telescope, `/t/${id}/devices/telescope/mount`];
+}
+
+/** Waits until a page has read what it shows. */
+export async function settled(page) {
+  await page.locator('body[data-link="live"]').waitFor();
+  await page.waitForFunction(() => {
+    const main = document.querySelector("main");
+    return main?.textContent && !/Reading |reading …|Connecting …/.test(main.textContent);
+  });
 }

@@ -7,7 +7,7 @@
 use std::time::Duration;
 
 use config::Response;
-use contract::observatory::{InputState, Sector, Unsafe, Verdict};
+use contract::observatory::{InputLimit, InputState, Sector, Unsafe, Verdict};
 
 use super::history::{Evidence, Now, Record};
 use super::received::{History, Measured, MonitorReading};
@@ -137,6 +137,7 @@ impl Evaluation {
     fn input<T: Clone>(&mut self, input: &str, record: &Record<T>, now: Now, good: bool, words: impl Fn(&T) -> String) {
         let newest = record.newest();
         self.inputs.push(InputState {
+            limits: Vec::new(),
             input: input.to_owned(),
             value: match newest.map(|entry| &entry.outcome) {
                 None => record.nothing(),
@@ -208,6 +209,9 @@ fn weigh(
     let evidence = record.evidence(now, allowed, |measured| !measured.tripped);
     let good = matches!(evidence, Evidence::Good { .. });
     evaluation.input(&rule.input, record, now, good, |measured| number(measured.value));
+    let dwell_s = (rule.dwell != Duration::MAX).then(|| rule.dwell.as_secs_f64());
+    let limit = InputLimit { upper: rule.bad.upper, lower: rule.bad.lower, dwell_s };
+    evaluation.inputs.last_mut().into_iter().for_each(|input| input.limits = vec![limit.clone()]);
     if let Evidence::Good { newest, .. } = &evidence
         && !rule.reopen.contain(newest.value)
     {
@@ -293,7 +297,8 @@ fn evaluate_sun(most_deg: f64, history: &History, evaluation: &mut Evaluation) {
             history.sun.low_in,
         );
     }
-    evaluation.inputs.push(InputState { input: input.to_owned(), value, age_s: Some(0.0), good: is_low });
+    let limits = vec![InputLimit { upper: Some(most_deg), lower: None, dwell_s: None }];
+    evaluation.inputs.push(InputState { input: input.to_owned(), value, age_s: Some(0.0), good: is_low, limits });
 }
 
 /// A station of these limits whose values do not move any more.

@@ -10,7 +10,7 @@ use crate::problem::Code;
 pub fn html(document: &Value) -> String {
     let mut page = String::from(
         "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>Starmesh API</title>\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><link rel=\"stylesheet\" href=\"/assets/style.css\">\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><link rel=\"stylesheet\" href=\"/assets/starmesh.css\">\
          <link rel=\"icon\" href=\"/assets/favicon.svg\"></head><body class=\"document\"><main>",
     );
     let info = &document["info"];

@@ -183,6 +183,15 @@ fn general() -> Vec<Endpoint> {
             .summary("Records of what was ordered and moved, the oldest first, asked of its archive.")
             .query::<records::RecordsQuery>()
             .gives::<ArchiveAnswer>("The records."),
+        Endpoint::get(
+            "/api/v1/telescopes/{site}/{telescope}/guiding/corrections",
+            "guiding_corrections",
+            TELESCOPE,
+            records::corrections,
+        )
+        .summary("Corrections of the guide loop, the oldest first, asked of its archive.")
+        .query::<records::RecordsQuery>()
+        .gives::<ArchiveAnswer>("The corrections."),
         Endpoint::get("/api/v1/telescopes/{site}/{telescope}/devices", "devices", TELESCOPE, parts::devices)
             .summary("Its devices with their states and what they can do.")
             .gives::<Vec<parts::DeviceNow>>("The devices."),

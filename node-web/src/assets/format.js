@@ -52,8 +52,8 @@ function sexagesimal(value, decimals, wrap = Infinity) {
 
 const UNITS = [
   ["_mag_per_arcsec2", " mag/arcsec²", 2], ["_mm_per_h", " mm/h", 1], ["_arcsec", "″", 2], ["_percent", " %", 0],
-  ["_hpa", " hPa", 0], ["_lux", " lx", 4], ["_mps", " m/s", 1], ["_deg", "°", 1], ["_bytes", "", 0], ["_px", " px", 1],
-  ["_c", " °C", 1], ["_s", " s", 1],
+  ["_hpa", " hPa", 0], ["_lux", " lx", 4], ["_mps", " m/s", 1], ["_deg_per_s", "°/s", 4], ["_deg", "°", 1], ["_bytes", "", 0], ["_px", " px", 1],
+  ["_c", " °C", 1], ["_s", " s", 1], ["_m", " m", 0],
 ];
 
 /** A typed field: its name without the unit, and its value with it. */

@@ -1,21 +1,25 @@
-// Who is logged in: shown with a way out, and asked again when the link is lost, because the session may be over.
-import { h, show } from "./dom.js";
+// Who is signed in; asked again when the link is lost, because the session may be over.
+import { signal } from "./lib.js";
 
-/** Asks who is logged in; where nobody is, loads the address again, which is the login page then. */
+/** The answer of `/api/v1/me`, or null. */
+export const me = signal(null);
+
+/** Asks who is signed in; where nobody is, loads the address again, which is the login page then. */
 export async function askUser() {
   try {
     const response = await fetch("/api/v1/me");
     if (response.status === 401) location.reload();
-    if (!response.ok) return;
-    const me = await response.json();
-    show(document.getElementById("user"), me.way === "session" && [me.name, " ", h("button", { onclick: leave }, "Log out")],
-      me.insecure_open && h("span", { class: "tag p2" }, "▲ OPEN TO EVERYBODY"));
+    if (response.ok) me.value = await response.json();
   } catch {
-    // the server is away; the page shows that itself
+    // The server is away; the page shows that itself.
   }
 }
 
-async function leave() {
+/** The link is lost: perhaps the session is over. */
+export const forgetUser = () => askUser();
+
+/** Ends the session. */
+export async function leave() {
   await fetch("/api/v1/logout", { method: "POST" });
   location.reload();
 }

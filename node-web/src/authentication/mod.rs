@@ -40,8 +40,17 @@ const SOCKETS: [&str; 3] = ["/api/v1/ws", "/ws", "/ws/log"];
 const LOGIN: &str = "/api/v1/login";
 const HEARTBEAT: &str = "/api/heartbeat";
 /// What the login page consists of.
-const LOGIN_ASSETS: [&str; 5] =
-    ["/assets/style.css", "/assets/theme.js", "/assets/login.js", "/assets/favicon.svg", "/favicon.ico"];
+const LOGIN_ASSETS: [&str; 9] = [
+    "/assets/starmesh.css",
+    "/assets/live.css",
+    "/assets/fonts/inter-var.woff2",
+    "/assets/fonts/jetbrains-mono.woff2",
+    "/assets/theme.js",
+    "/assets/login.js",
+    "/assets/favicon.svg",
+    "/assets/manifest.webmanifest",
+    "/favicon.ico",
+];
 const HEALTH: [&str; 3] = ["/healthz", "/readyz", "/version"];
 
 /// What proves who asks.

@@ -9,32 +9,50 @@ use users::Principal;
 use crate::problem::Problem;
 
 const HTML: &str = "text/html; charset=utf-8";
-const SCRIPT: &str = "text/javascript; charset=utf-8";
 
-/// Name, type and content of each asset.
-const ASSETS: &[(&str, &str, &str)] = &[
-    ("style.css", "text/css; charset=utf-8", include_str!("../assets/style.css")),
-    ("favicon.svg", "image/svg+xml", FAVICON),
-    ("theme.js", SCRIPT, include_str!("../assets/theme.js")),
-    ("login.js", SCRIPT, include_str!("../assets/login.js")),
-    ("user.js", SCRIPT, include_str!("../assets/user.js")),
-    ("app.js", SCRIPT, include_str!("../assets/app.js")),
-    ("link.js", SCRIPT, include_str!("../assets/link.js")),
-    ("dom.js", SCRIPT, include_str!("../assets/dom.js")),
-    ("format.js", SCRIPT, include_str!("../assets/format.js")),
-    ("overview.js", SCRIPT, include_str!("../assets/overview.js")),
-    ("telescope.js", SCRIPT, include_str!("../assets/telescope.js")),
-    ("devices.js", SCRIPT, include_str!("../assets/devices.js")),
-];
-const FAVICON: &str = include_str!("../assets/favicon.svg");
+/// The assets by their path below `/assets/`: what the browser loads, each built into the program.
+macro_rules! assets {
+    ($($path:literal)*) => {
+        &[$(($path, include_bytes!(concat!("../assets/", $path)))),*]
+    };
+}
+
+/// Path and content of each asset.
+const ASSETS: &[(&str, &[u8])] = assets! {
+    "api.js" "app.js" "astro.js" "chart.js" "close.js" "devices.js" "favicon.svg" "format.js" "history.js"
+    "image.js" "lib.js" "live.css" "login.js" "manifest.webmanifest" "night.js" "pages.js" "parts.js"
+    "pixels.js" "plane.js" "route.js" "shell.js" "site.js" "sky.js" "starmesh.css" "store.js" "theme.js"
+    "user.js" "viewer.js" "fonts/LICENSE-Inter.txt" "fonts/LICENSE-JetBrainsMono.txt" "fonts/inter-var.woff2"
+    "fonts/jetbrains-mono.woff2" "pages/alerts.js" "pages/controls.js" "pages/device.js" "pages/focus.js"
+    "pages/frame.js" "pages/frames.js" "pages/guiding.js" "pages/lightcurve.js" "pages/log.js"
+    "pages/network.js" "pages/nodes.js" "pages/report.js" "pages/schedule.js" "pages/telescope.js"
+    "pages/wall.js" "pages/weather.js" "vendor/LICENSES.txt" "vendor/hooks.js" "vendor/htm.js"
+    "vendor/preact.js" "vendor/signals-core.js" "vendor/signals.js" "vendor/uplot.js"
+};
+const FAVICON: &[u8] = include_bytes!("../assets/favicon.svg");
 const INDEX: &str = include_str!("../assets/index.html");
 const LOGIN: &str = include_str!("../assets/login.html");
+
+/// Addresses of the page that are of no telescope; each is the same document, whose script reads the address.
+pub const NETWORK_PAGES: &[&str] = &["/", "/alerts", "/weather", "/frames", "/report", "/log", "/nodes", "/wall"];
+
+/// The type of an asset, by its name's end.
+fn kind_of(path: &str) -> &'static str {
+    match path.rsplit_once('.').map_or("", |(_, end)| end) {
+        "js" => "text/javascript; charset=utf-8",
+        "css" => "text/css; charset=utf-8",
+        "svg" => "image/svg+xml",
+        "woff2" => "font/woff2",
+        "webmanifest" => "application/manifest+json",
+        _ => "text/plain; charset=utf-8",
+    }
+}
 
 /// The one page, which reads its own address to know what to show; for somebody without any right, the login page.
 pub async fn index(Extension(principal): Extension<Principal>, headers: HeaderMap) -> Response {
     match principal.right_anywhere() {
         // Stored by a browser from which somebody logs out, it is asked for again.
-        Some(_) => ([(header::VARY, "Cookie")], served(&headers, HTML, INDEX)).into_response(),
+        Some(_) => ([(header::VARY, "Cookie")], served(&headers, HTML, INDEX.as_bytes())).into_response(),
         None => {
             let named = [
                 (header::CONTENT_TYPE, HTML),
@@ -48,20 +66,20 @@ pub async fn index(Extension(principal): Extension<Principal>, headers: HeaderMa
 
 /// One asset.
 pub async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Response {
-    match ASSETS.iter().find(|(asset, ..)| *asset == name) {
-        Some((_, kind, content)) => served(&headers, kind, content),
+    match ASSETS.iter().find(|(path, _)| *path == name) {
+        Some((path, content)) => served(&headers, kind_of(path), content),
         None => Problem::not_found(format!("There is no asset {name}.")).into_response(),
     }
 }
 
 /// For browsers that ask without reading the page.
 pub async fn favicon(headers: HeaderMap) -> Response {
-    served(&headers, "image/svg+xml", FAVICON)
+    served(&headers, kind_of("favicon.svg"), FAVICON)
 }
 
 /// Revalidated each time: after an update of the node no browser mixes old scripts with new ones.
-fn served(headers: &HeaderMap, kind: &'static str, content: &'static str) -> Response {
-    let tag = format!("\"{:016x}\"", fnv(content.as_bytes()));
+fn served(headers: &HeaderMap, kind: &'static str, content: &'static [u8]) -> Response {
+    let tag = format!("\"{:016x}\"", fnv(content));
     let known = headers.get(header::IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == tag.as_bytes());
     let named = [(header::ETAG, tag), (header::CACHE_CONTROL, "no-cache".to_owned())];
     if known {
@@ -85,12 +103,21 @@ const fn fnv(bytes: &[u8]) -> u64 {
 mod tests {
     use super::*;
 
+    fn scripts() -> impl Iterator<Item = (&'static str, &'static str)> {
+        let own = ASSETS.iter().filter(|(path, _)| path.ends_with(".js"));
+        own.map(|(path, content)| (*path, std::str::from_utf8(content).unwrap()))
+    }
+
+    fn is_served(path: &str) -> bool {
+        ASSETS.iter().any(|(asset, _)| *asset == path)
+    }
+
     #[test]
     fn the_page_names_only_assets_that_are_served_and_runs_nothing_inline() {
         for page in [INDEX, LOGIN] {
-            for part in page.split("/assets/").skip(1) {
-                let name: String = part.chars().take_while(|c| c.is_alphanumeric() || matches!(c, '.' | '-')).collect();
-                assert!(ASSETS.iter().any(|(asset, ..)| *asset == name), "{name}");
+            for part in page.split("\"/assets/").skip(1) {
+                let path = part.split('"').next().unwrap();
+                assert!(is_served(path), "{path}");
             }
             assert!(!page.contains("style=") && !page.contains("<style") && !page.contains(" onclick"));
             let loaded = page.matches("<script src").count() + page.matches("<script type=\"module\" src").count();
@@ -100,22 +127,47 @@ mod tests {
 
     #[test]
     fn scripts_import_only_each_other_and_nothing_comes_from_elsewhere() {
-        for (asset, kind, content) in ASSETS {
-            if *kind == SCRIPT {
-                for part in content.split("from \"").skip(1) {
-                    let name = part.split('"').next().unwrap();
-                    let name = name.strip_prefix("./").unwrap_or_else(|| panic!("{asset} imports {name}"));
-                    assert!(ASSETS.iter().any(|(asset, ..)| *asset == name), "{asset} imports {name}");
-                }
+        for (asset, content) in scripts() {
+            let folder = asset.rsplit_once('/').map_or("", |(folder, _)| folder);
+            for part in content.split("from \"").skip(1).chain(content.split("from\"").skip(1)) {
+                let name = part.split('"').next().unwrap();
+                let path = match (name.strip_prefix("./"), name.strip_prefix("../")) {
+                    (Some(beside), _) if folder.is_empty() => beside.to_owned(),
+                    (Some(beside), _) => format!("{folder}/{beside}"),
+                    (None, Some(above)) if !folder.contains('/') => above.to_owned(),
+                    _ => panic!("{asset} imports {name}"),
+                };
+                assert!(is_served(&path), "{asset} imports {name}");
             }
-            let elsewhere = content.replace("http://www.w3.org/", "");
-            assert!(!elsewhere.contains("https://") && !elsewhere.contains("http://"), "{asset}");
+            if !asset.starts_with("vendor/") {
+                let elsewhere = content.replace("http://www.w3.org/", "");
+                assert!(!elsewhere.contains("https://") && !elsewhere.contains("http://"), "{asset}");
+                assert!(!content.contains("innerHTML"), "{asset}: text from outside never becomes markup");
+            }
         }
     }
 
     #[test]
-    fn the_whole_page_is_small() {
-        let scripts: usize = ASSETS.iter().map(|(_, _, content)| content.len()).sum();
-        assert!(scripts + INDEX.len() < 200_000);
+    fn every_file_in_the_folder_of_assets_is_served() {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/assets");
+        let mut folders = vec![root.clone()];
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else {
+                    let name = path.strip_prefix(&root).unwrap().to_str().unwrap().to_owned();
+                    assert!(name.ends_with(".html") || is_served(&name), "{name} is missing in ASSETS");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_first_load_is_small() {
+        // All scripts together, as if every page were opened; in bytes, not compressed.
+        let all: usize = scripts().map(|(_, content)| content.len()).sum();
+        assert!(all < 400_000, "{all}");
     }
 }

@@ -1,4 +1,4 @@
-//! What a telescope's nodes wrote down: the log and the audit, asked of its archive.
+//! What a telescope's nodes wrote down: the log, the audit and the corrections of guiding, asked of its archive.
 
 use std::sync::Arc;
 
@@ -43,6 +43,15 @@ pub async fn audit(
     AskedFor(query): AskedFor<RecordsQuery>,
 ) -> Result<Response, Problem> {
     ask(&server, &telescope, Ask::Audit, query).await
+}
+
+/// Corrections of the guide loop, the oldest first.
+pub async fn corrections(
+    State(server): State<Arc<Server>>,
+    Path(telescope): Path<(String, String)>,
+    AskedFor(query): AskedFor<RecordsQuery>,
+) -> Result<Response, Problem> {
+    ask(&server, &telescope, Ask::Corrections, query).await
 }
 
 async fn ask(

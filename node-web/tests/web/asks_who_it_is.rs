@@ -59,7 +59,7 @@ async fn with_users_everybody_is_asked_and_each_proof_opens_what_it_should() {
         assert_eq!(answer.header("www-authenticate"), Some("Bearer realm=\"starmesh\""), "{ask}");
     }
     for ask in
-        ["GET /healthz", "GET /assets/login.js", "GET /assets/style.css", "GET /assets/theme.js", "GET /favicon.ico"]
+        ["GET /healthz", "GET /assets/login.js", "GET /assets/starmesh.css", "GET /assets/theme.js", "GET /favicon.ico"]
     {
         assert_eq!(stage.status(ask, "").await, 200, "{ask}");
     }

@@ -20,7 +20,7 @@ async fn the_page_is_served_whole_and_only_under_our_own_names() {
     let html = page.text().await.unwrap();
     let telescope = stage.http.get(format!("{}/t/paranal/callisto", stage.url)).send().await.unwrap();
     assert_eq!(telescope.text().await.unwrap(), html, "one page for both addresses");
-    for name in ["style.css", "app.js", "favicon.svg"] {
+    for name in ["starmesh.css", "app.js", "pages/network.js", "vendor/preact.js", "favicon.svg"] {
         let asset = stage.http.get(format!("{}/assets/{name}", stage.url)).send().await.unwrap();
         assert!(asset.status().is_success(), "{name}");
         let tag = asset.headers()["etag"].clone();

@@ -40,7 +40,7 @@ pub use operator_orders::{CONTROL_LAPSES_S, OperatorOrders, Ordered, Override, S
 pub use optics::{Optics, OpticsState, ZeroPoint};
 pub use plan::{AltitudePoint, NightPlan, OverheadFigure, RowPlan, SchedulePlan, SchedulePlanQuestion, SensorFigure};
 pub use pointing::{PointingCheck, PointingModel, PointingPoint, PointingState};
-pub use safety::{InputState, Interval, Permit, SafetyState, Sector, Unsafe, Verdict};
+pub use safety::{InputLimit, InputState, Interval, Permit, SafetyState, Sector, Unsafe, Verdict};
 pub use schedule::{RowState, RowStatus, ScheduleState};
 pub use schedule_texts::{ScheduleTextQuestion, ScheduleTexts, ScheduleVersion};
 pub use solution::{Distortion, FrameWcs, Unsolved, UnsolvedClass};

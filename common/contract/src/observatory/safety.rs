@@ -106,6 +106,23 @@ pub struct InputState {
     pub age_s: Option<f64>,
     /// True while it speaks for safety.
     pub good: bool,
+    /// What it is held against; empty for inputs without a number.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub limits: Vec<InputLimit>,
+}
+
+/// A limit of an input, as the configuration has it.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct InputLimit {
+    /// Bad above this, in the property's ASCOM unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub upper: Option<f64>,
+    /// Bad below this, in the same unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lower: Option<f64>,
+    /// The dwell after a violation, sky seconds; absent where it never ends by itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dwell_s: Option<f64>,
 }
 
 /// May this dome be open? Renewed every second; silence is a no.

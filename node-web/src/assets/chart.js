@@ -1,0 +1,210 @@
+// Charts over time: panels one below the other with one cursor (uPlot). The far side of a limit is hatched, and no line crosses a gap.
+import { html, useEffect, useRef, useSignal } from "./lib.js";
+import { clock, hourMinute, number } from "./format.js";
+import uPlot from "./vendor/uplot.js";
+
+const LEFT = 56;
+const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const SERIES = ["--s1", "--s2", "--s3", "--s4"];
+const DASH = { "--s2": [6, 3], "--s3": [2, 3] };
+
+/** Lines of 45 degrees in a rectangle. */
+function hatch(ctx, x, y, w, h, colour, every = 7) {
+  if (w <= 0 || h <= 0) return;
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(x, y, w, h);
+  ctx.clip();
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = 1;
+  ctx.beginPath();
+  for (let at = x - h; at < x + w; at += every) {
+    ctx.moveTo(at, y + h);
+    ctx.lineTo(at + h, y);
+  }
+  ctx.stroke();
+  ctx.restore();
+}
+
+/** Points of several series, `[ms, value]` each, as uPlot's columns; a gap is a `null`. */
+export function columns(series) {
+  const times = [...new Set(series.flatMap((one) => one.points.map(([t]) => t)))].sort((a, b) => a - b);
+  const at = new Map(times.map((t, i) => [t, i]));
+  return [times.map((t) => t / 1000), ...series.map((one) => {
+    const column = new Array(times.length).fill(undefined);
+    for (const [t, value] of one.points) column[at.get(t)] = Number.isFinite(value) ? value : null;
+    return column;
+  })];
+}
+
+/** Points and gaps of the API's `Series` as `[ms, value]`, with `null` in each gap. `pick` is `min`, `mean` or `max`. */
+export function pointsOf(series, pick = "mean") {
+  const points = (series?.points ?? []).map((point) => [Date.parse(point.at_utc), typeof point[pick] === "number" ? point[pick] : point.mean]);
+  for (const gap of series?.gaps ?? []) points.push([Date.parse(gap.from_utc) + 1, null]);
+  return points.sort((a, b) => a[0] - b[0]);
+}
+
+/** The points with a gap where much longer than usual nothing came: no line is drawn over a gap. */
+export function broken(points) {
+  const steps = points.slice(1).map(([t], i) => t - points[i][0]).sort((a, b) => a - b);
+  const longest = 6 * (steps[Math.floor(steps.length / 2)] ?? 0);
+  return points.flatMap((point, i) => (i && point[0] - points[i - 1][0] > longest ? [[points[i - 1][0] + 1, null], point] : [point]));
+}
+
+/** The scale of a panel: all its values, and its limits, so that no limit lies outside. */
+function range(panel) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const one of panel.series) {
+    for (const [, value] of one.points) {
+      if (!Number.isFinite(value)) continue;
+      low = Math.min(low, value);
+      high = Math.max(high, value);
+    }
+  }
+  for (const limit of panel.limits ?? []) {
+    low = Math.min(low, limit.v);
+    high = Math.max(high, limit.v);
+  }
+  if (panel.zero) low = Math.min(low, 0);
+  if (!Number.isFinite(low)) return [0, 1];
+  const air = (high - low || Math.abs(high) || 1) * 0.08;
+  return [panel.zero && low === 0 ? 0 : low - air, high + air];
+}
+
+function draw(plot, panel, shared) {
+  const { ctx, bbox } = plot;
+  const y = (value) => plot.valToPos(value, "y", true);
+  const x = (ms) => plot.valToPos(ms / 1000, "x", true);
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+  ctx.clip();
+  for (const [from, to] of panel.unsafe ?? shared.unsafe ?? []) {
+    ctx.fillStyle = css("--raised");
+    ctx.fillRect(x(from), bbox.top, x(to) - x(from), bbox.height);
+    hatch(ctx, x(from), bbox.top + bbox.height - 5, x(to) - x(from), 5, css("--ink-3"), 4);
+  }
+  for (const limit of panel.limits ?? []) {
+    const at = y(limit.v);
+    const [top, height] = limit.side === "below" ? [at, bbox.top + bbox.height - at] : [bbox.top, at - bbox.top];
+    hatch(ctx, bbox.left, top, bbox.width, height, css("--line"));
+    ctx.strokeStyle = css("--ink-2");
+    ctx.setLineDash([6, 3]);
+    ctx.beginPath();
+    ctx.moveTo(bbox.left, at);
+    ctx.lineTo(bbox.left + bbox.width, at);
+    ctx.stroke();
+    ctx.setLineDash([]);
+    if (limit.text) {
+      ctx.fillStyle = css("--ink-2");
+      ctx.font = `${11 * devicePixelRatio}px Inter, sans-serif`;
+      ctx.fillText(limit.text, bbox.left + 8 * devicePixelRatio, limit.side === "below" && bbox.top + bbox.height - at > 18 * devicePixelRatio || limit.side !== "below" && at - bbox.top < 18 * devicePixelRatio ? at + 14 * devicePixelRatio : at - 5 * devicePixelRatio);
+    }
+  }
+  for (const [t, colour] of [...(shared.marks ?? []).map((mark) => [mark.t, "--ink-3"]), ...(shared.now ? [[shared.now, "--ink"]] : [])]) {
+    ctx.strokeStyle = css(colour);
+    ctx.beginPath();
+    ctx.moveTo(x(t), bbox.top);
+    ctx.lineTo(x(t), bbox.top + bbox.height);
+    ctx.stroke();
+  }
+  ctx.restore();
+}
+
+function seriesOf(one, i) {
+  const name = one.colour ?? SERIES[i % SERIES.length];
+  const colour = () => css(name);
+  if (one.kind === "dots") return { label: one.name, stroke: colour, paths: () => null, points: { show: true, size: one.size ?? 5, stroke: colour, fill: colour, width: 0 } };
+  if (one.kind === "bars") return { label: one.name, stroke: colour, fill: colour, paths: uPlot.paths.bars({ size: [0.6, 6] }), points: { show: false } };
+  return { label: one.name, stroke: colour, width: one.width ?? 1.6, dash: one.dash ?? (document.documentElement.dataset.theme === "night" ? DASH[name] : undefined), points: { show: one.points.length < 3 }, spanGaps: false,
+    ...(one.stepped && { paths: uPlot.paths.stepped({ align: 1 }) }) };
+}
+
+function options(panel, shared, width, last, onAt) {
+  const ink = () => css("--ink-3");
+  const axis = { stroke: ink, grid: { stroke: () => css("--line"), width: 1 }, ticks: { show: false }, font: "11px Inter, sans-serif" };
+  return {
+    width, height: panel.height + (last ? 26 : 0), padding: [6, 8, last ? 0 : 4, 0], legend: { show: false },
+    cursor: { sync: { key: shared.key, setSeries: false }, y: false, drag: { x: Boolean(shared.onZoom), y: false }, points: { size: 7 } },
+    scales: { x: { time: true, range: [shared.t0 / 1000, shared.t1 / 1000] }, y: { range: panel.range ?? range(panel) } },
+    axes: [{ ...axis, show: true, size: last ? 26 : 0, values: (_, ticks) => ticks.map((t) => (last ? hourMinute(t * 1000) : "")) },
+      { ...axis, size: LEFT, values: (_, ticks) => ticks.map((v) => number(v, Math.abs(v) < 10 && v % 1 ? (Math.abs(v) < 1 && (v * 10) % 1 ? 2 : 1) : 0)) }],
+    tzDate: (t) => new Date(new Date(t * 1000).toLocaleString("en-US", { timeZone: "UTC" })),
+    series: [{}, ...panel.series.map(seriesOf)],
+    bands: panel.bands,
+    hooks: {
+      drawAxes: [(plot) => draw(plot, panel, shared)],
+      setCursor: [(plot) => onAt(plot.cursor.left < 0 ? null : plot.posToVal(plot.cursor.left, "x") * 1000)],
+      setSelect: shared.onZoom && [(plot) => plot.select.width > 4 && shared.onZoom(plot.posToVal(plot.select.left, "x") * 1000, plot.posToVal(plot.select.left + plot.select.width, "x") * 1000)],
+    },
+  };
+}
+
+/** The value of a series nearest to a time. */
+function nearest(points, t) {
+  let found = null;
+  for (const point of points) if (Number.isFinite(point[1]) && (!found || Math.abs(point[0] - t) < Math.abs(found[0] - t))) found = point;
+  return found;
+}
+
+let charts = 0;
+
+/**
+ * Panels over one time axis. `panels`: `{ name, unit, digits, height, zero, series: [{ name, points, colour, kind, dash }], limits: [{ v, side, text }] }`; `unsafe`: times in
+ * which the dome had to be closed; `marks`: `{ t, text }`; `now`; `onAt(ms)` follows the cursor, also by the arrow keys; `onZoom(from, to)` where a part may be chosen.
+ */
+export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, onZoom, label }) {
+  const place = useRef(null);
+  const plots = useRef([]);
+  const key = useRef(`chart${charts += 1}`);
+  const at = useSignal(null);
+  const theme = useSignal(document.documentElement.dataset.theme);
+  useEffect(() => {
+    const observer = new MutationObserver(() => { theme.value = document.documentElement.dataset.theme; });
+    observer.observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
+    return () => observer.disconnect();
+  }, []);
+  const shape = JSON.stringify([theme.value, t0, t1, now && Math.round(now / 60000), unsafe, marks, panels.map((panel) => [panel.name, panel.limits, panel.series.map((one) => [one.name, one.points.length, one.points[0], one.points[one.points.length - 1]])])]);
+  useEffect(() => {
+    const element = place.current;
+    const moved = (t) => {
+      if (t === at.peek()) return;
+      at.value = t;
+      onAt?.(t);
+    };
+    const shared = { key: key.current, t0, t1, unsafe, marks, now, onZoom };
+    const make = () => {
+      plots.current.forEach((plot) => plot.destroy());
+      const width = Math.max(200, element.clientWidth);
+      plots.current = panels.map((panel, i) => new uPlot(options({ height: 120, ...panel }, shared, width, i === panels.length - 1, moved), columns(panel.series), element.querySelectorAll(".plot")[i]));
+    };
+    make();
+    let width = element.clientWidth;
+    const resized = new ResizeObserver(() => {
+      if (element.clientWidth === width) return;
+      width = element.clientWidth;
+      make();
+    });
+    resized.observe(element);
+    return () => {
+      resized.disconnect();
+      plots.current.forEach((plot) => plot.destroy());
+      plots.current = [];
+    };
+  }, [shape]);
+  const press = (event) => {
+    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    const plot = plots.current[0];
+    if (!step || !plot) return;
+    event.preventDefault();
+    const from = at.peek() ?? Math.min(now ?? t1, t1);
+    const to = Math.max(t0, Math.min(t1, from + (step * (t1 - t0)) / 100));
+    plot.setCursor({ left: plot.valToPos(to / 1000, "x"), top: 10 });
+  };
+  return html`<div class="chart live-chart" data-testid="chart" ref=${place} tabindex="0" role="img" aria-label=${label ?? `Chart of ${panels.map((panel) => panel.name).join(", ")} over time; arrow keys move the cursor`} onKeyDown=${press}>
+    ${panels.map((panel) => html`<div class="panel" key=${panel.name}><div class="row between read"><span class="m">${panel.name}</span><span>${panel.series.filter((one) => !one.quiet).map((one) => {
+      const found = nearest(one.points, at.value ?? now ?? t1);
+      return html`<span class="nw" key=${one.name}>${one.name && html`<span class="m">${one.name}</span> `}<b>${found ? number(found[1], panel.digits ?? 1) : "—"}</b> </span>`;
+    })}<span class="m">${panel.unit ?? ""}${at.value ? ` at ${clock(at.value)}` : ""}</span></span></div><div class="plot"></div></div>`)}
+    ${marks?.length > 0 && html`<p class="tagline">${marks.map((mark) => `${clock(mark.t)} ${mark.text}`).join(" · ")}</p>`}</div>`;
+}

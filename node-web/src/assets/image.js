@@ -1,0 +1,36 @@
+// The newest image of a telescope: the old one stays until the new one can be shown.
+import { html, signal } from "./lib.js";
+import { link, net } from "./store.js";
+
+const pictures = new Map();
+const arrivals = signal(0);
+
+/** The newest image that has arrived here, with `src` and `since`; null before the first. */
+export function arrived(summary) {
+  arrivals.value; // eslint-disable-line no-unused-expressions
+  const wanted = summary.image;
+  const have = pictures.get(summary.id) ?? { shown: null, asked: null };
+  pictures.set(summary.id, have);
+  if (wanted && have.asked !== wanted.frame && link.peek() === "live") {
+    have.asked = wanted.frame;
+    const src = `/api/v1/telescopes/${summary.id}/image.jpg?frame=${encodeURIComponent(wanted.frame)}`;
+    const since = summary.received - summary.image_age_s * 1000;
+    const image = new Image();
+    image.onload = () => {
+      // An older one may arrive after a newer one.
+      if (have.asked === wanted.frame) have.shown = { ...wanted, src, since };
+      arrivals.value += 1;
+    };
+    image.onerror = () => { if (have.asked === wanted.frame) have.asked = null; };
+    image.src = src;
+  }
+  // Pictures of telescopes that are gone are not kept.
+  if (pictures.size > 2 * net.peek().size + 10) for (const id of pictures.keys()) if (!net.peek().has(id)) pictures.delete(id);
+  return have.shown && { ...have.shown, problem: wanted?.problem };
+}
+
+/** What is on it, for those who do not see it. */
+export const caption = (image) => [image.image_type, image.object, image.filter ?? "no filter", `${image.exposure_s} s`].filter(Boolean).join(", ");
+
+/** The image itself. */
+export const Picture = ({ image }) => html`<img data-frame=${image.frame} alt=${caption(image)} width=${image.size_px?.[0]} height=${image.size_px?.[1]} src=${image.src} />`;

@@ -1,0 +1,81 @@
+// One frame: its pixels with a stretch of one's own, what was measured, its whole header.
+import { html, useEffect, useMemo, useSignal } from "../lib.js";
+import { useGet } from "../api.js";
+import { bytes, clock, declination, number, plain, rightAscension } from "../format.js";
+import { Card, Empty, Icon, Loaded, Segment, Stat } from "../parts.js";
+import { CURVES, Tiles, automatic, histogram } from "../pixels.js";
+import { go, route } from "../route.js";
+import { Viewer } from "../viewer.js";
+import { flaw } from "./frames.js";
+
+const BINS = 150;
+
+function Histogram({ tile, stretch, onChange, tiles }) {
+  const [low, high] = [Math.max(0, stretch.black - (stretch.white - stretch.black) * 0.15), stretch.white + (stretch.white - stretch.black) * 0.15];
+  const counts = histogram(tile, low, high, BINS);
+  const most = Math.log1p(Math.max(...counts, 1));
+  const x = (value) => ((value - low) / (high - low)) * 300;
+  const bars = [...counts].map((count, i) => `M${(i * 300) / BINS} 84V${(84 - (Math.log1p(count) / most) * 80).toFixed(1)}`).join("");
+  const field = (name, label) => html`<div class="field"><label for=${name}>${label}</label><div class="in"><input id=${name} type="number" value=${Math.round(tiles.counts(stretch[name]))} onChange=${(event) => onChange({ [name]: (Number(event.target.value) - tiles.zero) / tiles.scale })} /><span class="u">ADU</span></div></div>`;
+  return html`<svg class="hist" viewBox="0 0 300 84" preserveAspectRatio="none" role="img" aria-label="Histogram with black and white point"><path class="ln s4" d=${bars} stroke-width=${300 / BINS} /><path class="lim" d=${`M${x(stretch.black)} 0V84M${x(stretch.white)} 0V84`} /></svg>
+    <div class="grid g2">${field("black", "Black")}${field("white", "White")}</div>`;
+}
+
+function Header({ id, frame }) {
+  const header = useGet(`/api/v1/telescopes/${id}/frames/${encodeURIComponent(frame)}/header`);
+  const text = useSignal("");
+  return html`<${Card} name="Header" flush end=${html`<label class="in"><${Icon} name="search" /><input type="search" placeholder="Find" aria-label="Find in the header" onInput=${(event) => { text.value = event.target.value; }} /></label>`}>
+    <${Loaded} of=${header} what="The header">${(data) => html`<div class="scroll" tabindex="0" role="group" aria-label="FITS header"><table class="fits" data-testid="header"><tbody>${data.hdus.flatMap((hdu) => hdu.cards.map((card, i) => [`${hdu.number} ${i}`, card])).filter(([, card]) => `${card.keyword} ${plain(card.value)} ${card.comment ?? ""}`.toLowerCase().includes(text.value.toLowerCase())).map(([key, card]) =>
+      html`<tr key=${key}><td class="mono mm">${card.keyword}</td><td class="mono">${card.value === null ? "" : typeof card.value === "string" ? `'${card.value}'` : String(card.value)}</td><td class="mm">${card.comment}</td></tr>`)}</tbody></table></div>`}<//><//>`;
+}
+
+function Pixels({ id, frame }) {
+  const tiles = useMemo(() => new Tiles(id, frame.id), [id, frame.id]);
+  const whole = useSignal(null);
+  const error = useSignal(null);
+  const stretch = useSignal(null);
+  const zoom = useSignal("fit");
+  const layers = useSignal(new Set(["target"]));
+  useEffect(() => {
+    whole.value = null;
+    tiles.get(0, 0, 0).then((tile) => {
+      if (!tile) return;
+      whole.value = tile;
+      stretch.value = { ...automatic(tile, tiles.blank), curve: stretch.peek()?.curve ?? "asinh", invert: false };
+    }).catch((reason) => { error.value = reason; });
+  }, [tiles]);
+  const change = (part) => { stretch.value = { ...stretch.peek(), ...part }; };
+  const toggle = (layer) => () => { const next = new Set(layers.peek()); if (!next.delete(layer)) next.add(layer); layers.value = next; };
+  if (error.value) return html`<${Card} name="Pixels"><${Empty} icon="warn" title="The pixels cannot be shown" hatch>${error.value.message}<//><//>`;
+  if (!whole.value || !stretch.value) return html`<${Card} name="Pixels"><p class="m">Reading pixels …</p><//>`;
+  const { facts } = frame;
+  return html`<section class="stack"><div class="card flush"><div class="row wrap bar-of-tools"><${Segment} label="Stretch" options=${Object.keys(CURVES).map((curve) => [curve, curve])} value=${stretch.value.curve} onChange=${(curve) => change({ curve })} /><${Segment} label="Zoom" options=${[["fit", "Fit"], ["1", "1:1"], ["4", "4:1"]]} value=${zoom.value} onChange=${(value) => { zoom.value = value; }} />
+      <span class="row"><button class="chip" aria-pressed=${String(layers.value.has("grid"))} disabled=${!facts?.wcs} onClick=${toggle("grid")}><${Icon} name="grid" />Grid</button><button class="chip" aria-pressed=${String(layers.value.has("target"))} disabled=${!facts?.wcs} onClick=${toggle("target")}><${Icon} name="guide" />Centre</button>
+        <button class="chip" aria-pressed=${String(stretch.value.invert)} onClick=${() => change({ invert: !stretch.peek().invert })}>Invert</button></span></div>
+      <${Viewer} tiles=${tiles} width=${frame.width_px} height=${frame.height_px} stretch=${stretch.value} zoom=${zoom.value} layers=${layers.value} wcs=${facts?.wcs} target=${frame.ra_deg != null ? [frame.ra_deg, frame.dec_deg] : null} onError=${(reason) => { error.value = reason; }} /></div>
+    <${Card} name="Stretch" end=${html`<button type="button" class="btn sm quiet" onClick=${() => change(automatic(whole.value, tiles.blank))}>Auto</button>`}><${Histogram} tile=${whole.value} stretch=${stretch.value} onChange=${change} tiles=${tiles} /><//></section>`;
+}
+
+function Measured({ frame }) {
+  const facts = frame.facts ?? {};
+  const value = (v, digits) => (v === null || v === undefined ? null : number(v, digits));
+  return html`<${Card} name="Measured" end=${facts.measuring_s != null ? `in ${number(facts.measuring_s, 2)} s` : null}><div class="stats three">
+    <${Stat} name="FWHM" value=${value(facts.fwhm_px, 2)} unit="px" sub=${frame.fwhm_arcsec != null ? `${number(frame.fwhm_arcsec, 2)}″` : null} /><${Stat} name="Ellipticity" value=${value(facts.ellipticity, 2)} level=${facts.trailed ? "p3" : null} sub=${facts.trailed ? "trailed" : null} /><${Stat} name="Stars" value=${facts.stars} sub=${facts.matched != null ? `${facts.matched} matched` : null} />
+    <${Stat} name="Sky" value=${value(facts.sky_adu, 0)} unit="ADU" sub=${facts.noise_adu != null ? `noise ${number(facts.noise_adu, 1)}` : null} /><${Stat} name="Zero point" value=${value(facts.zero_point_mag, 2)} unit="mag" sub=${facts.zero_point_error_mag != null ? `± ${number(facts.zero_point_error_mag, 3)}` : null} /><${Stat} name="Transparency" value=${value(facts.transparency, 2)} />
+    <${Stat} name="Off target" value=${value(facts.off_target_arcmin, 2)} unit="′" /><${Stat} name="Scale" value=${value(facts.scale_arcsec_px, 3)} unit="″/px" /><${Stat} name="Rotation" value=${value(facts.rotation_deg, 2)} unit="°" /><${Stat} name="Airmass" value=${value(facts.airmass, 2)} /><${Stat} name="Pier side" value=${facts.pier_side} /><${Stat} name="Saturated" value=${facts.saturated_fraction != null ? number(100 * facts.saturated_fraction, 3) : null} unit="%" /></div>
+    ${facts.ra_deg != null && html`<p class="m">Centre <b>${rightAscension(facts.ra_deg)} ${declination(facts.dec_deg)}</b></p>`}${facts.reason && html`<p class="note p3">${facts.reason}</p>`}<//>`;
+}
+
+export function Frame({ id }) {
+  const wanted = route.value.rest[0];
+  const found = useGet(`/api/v1/telescopes/${id}/frames/${encodeURIComponent(wanted)}`);
+  const night = found.data?.night;
+  const list = useGet(night && `/api/v1/telescopes/${id}/frames?night=${night}&limit=1000`);
+  const ids = (list.data?.rows ?? []).map((row) => row.found_frame?.id).filter(Boolean);
+  const at = ids.indexOf(wanted);
+  const beside = (step) => at >= 0 && ids[at + step];
+  const link = (step, name, icon) => html`<button class="btn sm soft" disabled=${!beside(step)} aria-label=${name} onClick=${() => go(`/t/${id}/frames/${encodeURIComponent(beside(step))}`)}><${Icon} name=${icon} /></button>`;
+  return html`<${Loaded} of=${found} what="The frame">${(frame) => html`<div class="page-h">${link(-1, "Previous frame", "left")}${link(1, "Next frame", "chev")}<h2>${frame.object ?? frame.image_type}</h2><span class="m">${frame.image_type}, ${frame.filter ?? "no filter"}, ${plain(frame.exposure_s)} s, begun ${clock(frame.at_utc)} UTC, ${frame.camera}</span>${flaw({ ...frame, ...frame.facts }) && html`<span class="pri p3">▼ ${flaw({ ...frame, ...frame.facts })}</span>`}<span class="grow"></span>
+      <a class="btn soft sm" href=${`/api/v1/telescopes/${id}/frames/${encodeURIComponent(frame.id)}/file`} download><${Icon} name="down2" /><span>Download, ${bytes(frame.bytes)}</span></a></div>
+    <div class="grid g-side"><${Pixels} id=${id} frame=${frame} key=${frame.id} /><div class="stack"><${Measured} frame=${frame} /><${Header} id=${id} frame=${frame.id} key=${frame.id} /></div></div><p class="tagline mono">${frame.file}</p>`}<//>`;
+}

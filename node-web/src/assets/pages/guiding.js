@@ -1,0 +1,69 @@
+// Guiding: is it good, what was corrected, and why; error, pulse and stars on one cursor.
+import { html, useSignal } from "../lib.js";
+import { useGet } from "../api.js";
+import { Chart, broken } from "../chart.js";
+import { clock, number } from "../format.js";
+import { Age, Card, Empty, Loaded, Segment, Stat, Table } from "../parts.js";
+import { Plane } from "../plane.js";
+import { ageOf, quality, skyNow, tick, useTopic } from "../store.js";
+
+const HOURS = [[0.25, "15 min"], [2, "2 h"], [12, "Night"]];
+const words = (why) => String(why ?? "—").replaceAll("_", " ");
+const sentence = (text) => (text ? `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}` : "");
+const rms = (values) => { const known = values.filter(Number.isFinite); return known.length ? Math.sqrt(known.reduce((sum, v) => sum + v * v, 0) / known.length) : null; };
+
+/** The corrections of the newest hours, the oldest first. */
+export function useCorrections(id, hours) {
+  const now = useSignal(null);
+  if (now.peek() === null && skyNow()) now.value = skyNow();
+  const found = useGet(now.value && `/api/v1/telescopes/${id}/guiding/corrections?from_utc=${new Date(now.value - hours * 3600e3).toISOString()}&limit=3000`, 20);
+  const corrections = (found.data?.rows ?? []).map((row) => row.correction).filter(Boolean).sort((a, b) => (a.mid_utc < b.mid_utc ? -1 : 1));
+  return { ...found, corrections, t1: skyNow() };
+}
+
+function Now({ entry }) {
+  const age = ageOf(entry);
+  const worth = quality(age, entry.period_s);
+  const { body } = entry;
+  const { last } = body;
+  const px = (value, digits = 2) => (Number.isFinite(value) ? number(value, digits) : null);
+  return html`<${Card} label="Guiding now" testid="guiding-now"><div class="row wrap gaps"><${Stat} lg name="RMS of this field" value=${px(body.rms_px)} unit="px" worth=${worth} /><${Stat} lg name="East, last" value=${px(last?.east?.error_px)} unit="px" worth=${worth} /><${Stat} lg name="North, last" value=${px(last?.north?.error_px)} unit="px" worth=${worth} />
+      <${Stat} lg name="Frames, corrected" value=${body.frames} sub=${body.corrected != null ? `${body.corrected} corrected` : null} worth=${worth} /><${Stat} lg name="Stars" value=${last?.stars} worth=${worth} /><${Stat} lg name="Transparency" value=${px(last?.transparency)} worth=${worth} /></div>
+    <p class="m">${body.active ? html`<b>Guiding ${body.object ?? ""}.</b>` : html`<b>Not guiding now.</b>`} ${sentence(body.detail)} · <${Age} s=${age} worth=${worth} after=" ago" /></p><//>`;
+}
+
+function Calibration({ body }) {
+  const { calibration, last } = body;
+  if (!calibration) return html`<${Card} name="Calibration"><p class="m">None yet: the first guided frames give one.</p><//>`;
+  const other = last?.pier_side && calibration.pier_side && last.pier_side !== calibration.pier_side;
+  const pair = (value) => (Array.isArray(value) ? value.map((v) => number(v, 2)).join(", ") : "—");
+  return html`<${Card} name="Calibration in use" end=${other && html`<span class="ink-p3">▼ of the other pier side</span>`}><dl class="kv"><dt>Made</dt><dd>${clock(calibration.made_utc)}, by ${words(calibration.source)}</dd><dt>Pier side</dt><dd><b>${calibration.pier_side ?? "—"}</b>${last?.pier_side ? html`, mount is <b>${last.pier_side}</b>` : ""}</dd>
+    <dt>East</dt><dd>${pair(calibration.east_px_per_s)} px/s</dd><dt>North</dt><dd>${pair(calibration.north_px_per_s)} px/s</dd></dl><//>`;
+}
+
+const COLUMNS = [{ key: "t", name: "Frame" }, { key: "e", name: "East, px", num: true }, { key: "ep", name: "Pulse, ms", num: true }, { key: "ew", name: "Why" }, { key: "n", name: "North, px", num: true }, { key: "np", name: "Pulse, ms", num: true }, { key: "nw", name: "Why" }, { key: "s", name: "Stars", num: true, cls: "hidep" }];
+
+export function Guiding({ id }) {
+  tick.value; // eslint-disable-line no-unused-expressions
+  const states = useTopic(`tel/${id}/observatory/guiding`);
+  const entry = states?.get(`${id}/observatory/guiding/state`);
+  const hours = useSignal(2);
+  const past = useCorrections(id, hours.value);
+  const over = (value) => broken(past.corrections.map((one) => [Date.parse(one.mid_utc), value(one) ?? null]));
+  const axis = (name, field) => over((one) => one[name]?.[field]);
+  const newest = [...past.corrections].reverse().slice(0, 12);
+  const pulse = (value) => (Number.isFinite(value) ? `${value > 0 ? "+" : ""}${number(value, 0)}` : "—");
+  return html`${entry ? html`<${Now} entry=${entry} />` : html`<p class="m">Nothing of guiding received yet.</p>`}
+    <div class="grid g-side"><${Card} name="Error and what was sent" end=${html`<${Segment} label="How far back" options=${HOURS} value=${hours.value} onChange=${(value) => { hours.value = value; }} />`}><${Loaded} of=${past} what="The past of guiding">${() => past.corrections.length ? html`<${Chart} t0=${past.t1 - hours.value * 3600e3} t1=${past.t1} now=${past.t1} panels=${[
+      { name: "Error", unit: "px", digits: 2, height: 170, limits: [], series: [{ name: "east", points: axis("east", "error_px"), colour: "--s1", kind: "dots" }, { name: "north", points: axis("north", "error_px"), colour: "--s2", kind: "dots" }] },
+      { name: "Pulse", unit: "ms", digits: 0, height: 110, zero: false, series: [{ name: "east", points: axis("east", "given_ms"), colour: "--s1", stepped: true }, { name: "north", points: axis("north", "given_ms"), colour: "--s2", stepped: true }] },
+      { name: "FWHM", unit: "px", digits: 2, height: 80, series: [{ name: "", points: over((one) => one.fwhm_px), colour: "--s4" }] },
+      { name: "Stars used", unit: "", digits: 0, height: 70, zero: true, series: [{ name: "", points: over((one) => one.stars), colour: "--s4" }] }]} />` : html`<${Empty} icon="guide" title="No frame was guided on in this time" />`}<//><//>
+      <div class="stack"><${Card} name="Where the star went" end="px, equal axes"><${Plane} equal label="East against north, px" xName="east, px" yName="north" xDigits=${1} points=${past.corrections.map((one) => ({ x: one.east?.error_px, y: one.north?.error_px, kind: one.pier_side === "west" ? "ring" : "dot", title: clock(one.mid_utc) }))} />
+        <div class="read"><span class="key dot">pier side east</span><span class="key ring">pier side west</span></div>
+        <div class="stats three"><${Stat} name="RMS east" value=${fixed(rms(past.corrections.map((one) => one.east?.error_px)))} unit="px" /><${Stat} name="RMS north" value=${fixed(rms(past.corrections.map((one) => one.north?.error_px)))} unit="px" /><${Stat} name="Frames" value=${past.corrections.length} /></div><//>
+        ${entry && html`<${Calibration} body=${entry.body} />`}</div></div>
+    <${Card} name="Last corrections" flush end="errors in px, pulses in ms"><${Table} label="Last corrections" columns=${COLUMNS} rows=${newest} keyOf=${(one) => one.frame} cells=${(one) => html`<td class="mono mm"><a href=${`/t/${id}/frames/${encodeURIComponent(one.frame)}`}>${clock(one.mid_utc)}</a></td><td class="num"><b>${fixed(one.east?.error_px) ?? "—"}</b></td><td class="num">${pulse(one.east?.given_ms)}</td><td>${words(one.east?.why)}</td>
+      <td class="num"><b>${fixed(one.north?.error_px) ?? "—"}</b></td><td class="num">${pulse(one.north?.given_ms)}</td><td>${words(one.north?.why)}</td><td class="num hidep">${one.stars ?? "—"}</td>`} /><//>`;
+}
+const fixed = (value) => (Number.isFinite(value) ? number(value, 2) : null);

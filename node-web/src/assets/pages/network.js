@@ -1,0 +1,125 @@
+// All telescopes, the ones that need somebody first; and one sentence on all of them.
+import { html, useSignal } from "../lib.js";
+import { CloseButton } from "../close.js";
+import { clock, duration, hourMinute, number } from "../format.js";
+import { arrived, Picture } from "../image.js";
+import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segment, Stat, Table, Words, postureIcon, standing, urgency } from "../parts.js";
+import { alarm, bySite, doing } from "../shell.js";
+import { ageOf, link, net, quality, skyNow, skySpeed, tick, useTopic } from "../store.js";
+import { devicesOf, known } from "../devices.js";
+import { limitsOf } from "./weather.js";
+
+/** What a telescope does, in a title and a sentence. */
+export function activity(summary, now) {
+  if (now.never) return ["Nothing received", "No observatory node of this telescope has published yet."];
+  if (now.stopped) return ["Stopped", now.stopped.text];
+  if (!now.fresh) return ["Observatory node silent", alarm(summary, now)];
+  const [first, ...more] = summary.activity ?? [];
+  if (first) return [`${sentence(first.action)} ${first.object ?? ""}`.trim(), [first.step, more.length && `and ${more.length} more`].filter(Boolean).join(", ")];
+  const { reasons = [], time_to_safe_s: wait } = summary.safety ?? {};
+  if (now.safety !== "safe" && reasons.length) return [`Waits for ${words(reasons[0].input)}`, `${reasons[0].why}${wait ? `. Opens in ${duration(wait)} at the earliest` : ""}.`];
+  if (summary.ended) return ["Night finished", `${summary.frames} frames.`];
+  const next = summary.schedule?.next;
+  if (!next) return ["Nothing to do", "The schedule has no further row."];
+  return [`Waits for ${next} at ${hourMinute(summary.schedule.next_utc)}`, summary.mode === "robotic" ? "" : `It is ${summary.mode}: the row does not start by itself.`];
+}
+const sentence = (word) => { const plain = String(word).replaceAll("_", " "); return { object: "Observing" }[word] ?? plain[0].toUpperCase() + plain.slice(1); };
+const words = (input) => String(input).split("/").pop().replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase();
+
+/** Does it need somebody, and how urgently? */
+const needs = (summary) => urgency(summary) <= 3;
+const isOpen = (summary) => ["open", "opening", "closing"].includes(standing(summary).posture);
+const rank = (summary) => { const now = standing(summary); return urgency(summary, now) * 10 + (now.fresh ? (summary.activity?.length ? 1 : 2) : 0); };
+
+/** The network in one sentence: who needs somebody, and what the others do. */
+function Lede({ telescopes }) {
+  const names = (list) => list.map((one) => one.telescope_id).join(", ");
+  const now = telescopes.filter((one) => urgency(one) <= 2);
+  const later = telescopes.filter((one) => urgency(one) === 3);
+  const rest = telescopes.filter((one) => urgency(one) > 3);
+  const counts = new Map();
+  for (const one of rest) { const does = doing(one, standing(one)); counts.set(does, (counts.get(does) ?? 0) + 1); }
+  return html`<p class="lede grow" data-testid="lede">${now.length ? html`<b>${names(now)} ${now.length > 1 ? "need" : "needs"} you now.</b> ` : html`<b>Nothing needs you.</b> `}${later.length ? `${names(later)} ${later.length > 1 ? "need" : "needs"} you tonight. ` : ""}
+    ${[...counts].map(([does, n]) => `${n} ${does}`).join(", ")}${counts.size ? "." : ""}</p>`;
+}
+
+function Tile({ summary }) {
+  const now = standing(summary);
+  const [what, sub] = activity(summary, now);
+  const level = urgency(summary, now);
+  const image = !navigator.connection?.saveData && arrived(summary);
+  const top = summary.alerts?.[0];
+  const figures = summary.figures ?? {};
+  const worth = now.fresh ? "fresh" : now.worth;
+  return html`<article class=${`tile ${now.fresh && !summary.activity?.length && level > 3 ? "rest" : ""}`} data-level=${level <= 3 ? `p${level}` : null} data-testid="tile" data-telescope=${summary.id} data-safety=${now.safety}
+    data-posture=${now.posture} data-mode=${now.mode} data-quality=${now.worth}>
+    <a class="cover" href=${`/t/${summary.id}`} aria-label=${`${summary.telescope_id}: ${what}`}></a>
+    <div class="tile-h"><${Icon} name=${postureIcon(now.posture)} /><b>${summary.telescope_id}</b><span class="site cut">${summary.site_id}</span><span class="end">${level <= 3 && html`<${Priority} word=${PRIORITIES[level - 1]} />`}</span></div>
+    <div class="row between wrap"><${Words} now=${now} /><${Mode} now=${now} summary=${summary} /></div>
+    <div class=${`do ${image ? "" : "plain"}`}><div class="what">${what}</div><div class="sub">${top && level <= 3 ? top.cause : sub}</div>${image && html`<span class="thumb"><${Picture} image=${image} /></span>`}</div>
+    <div class="stats"><${Stat} name="Guide" value=${figures.guide_rms_arcsec != null ? number(figures.guide_rms_arcsec, 2) : null} unit="″" worth=${worth} /><${Stat} name="FWHM" value=${figures.fwhm_arcsec != null ? number(figures.fwhm_arcsec, 2) : null} unit="″" worth=${worth} />
+      <${Stat} name="Rows" value=${summary.schedule ? `${summary.schedule.finished}/${summary.schedule.rows}` : null} worth=${worth} /><${Stat} name="Frames" value=${summary.frames} worth=${worth} /></div>
+    ${summary.unreadable?.length > 0 && html`<p class="ink-p2" data-unreadable=${summary.unreadable.length}>◆ ${summary.unreadable.length} payloads cannot be read: ${summary.unreadable[0].key}</p>`}
+    <div class="tile-f"><${Age} s=${now.age} worth=${now.worth} after=" ago" />${summary.device_count?.lost > 0 && html`<span class="ink-p3">${summary.device_count.lost} of ${summary.device_count.known} devices silent</span>`}
+      <${CloseButton} id=${summary.id} filled=${level === 1} sm /></div></article>`;
+}
+
+/** Name, field, unit, scale, decimals, property of the limit. */
+const WEATHER = [["Wind", "wind_mps", "m/s", 0, 25, 1, "WindSpeed"], ["Humidity", "humidity_percent", "%", 0, 100, 0, "Humidity"], ["Sky − air", null, "°C", -50, 5, 0, "RelativeSkyTemp"], ["Rain", "rain_mm_per_h", "mm/h", 0, 5, 1, "RainRate"]];
+
+/** A site: its weather now, and when it can be safe. Stations belong to the site (`shared`) or to one of its telescopes. */
+function Site({ site, telescopes }) {
+  tick.value; // eslint-disable-line no-unused-expressions
+  const owners = [...net.value.values()].filter((one) => one.site_id === site);
+  const owner = owners.find((one) => one.shared) ?? owners[0];
+  const states = useTopic(`tel/${owner.id}/device/observingconditions`);
+  const station = devicesOf(states)[0];
+  const all = telescopes.map((one) => [one, standing(one)]);
+  const worst = all.find(([, now]) => now.safety === "unknown") ?? all.find(([, now]) => now.safety === "unsafe") ?? all[0];
+  const [summary, now] = worst;
+  const icon = { safe: "safe", unsafe: "unsafe" }[now.safety] ?? "unknown";
+  const fields = station?.fields ?? {};
+  const value = (name) => (name ? fields[name] : known(fields.sky_c) && known(fields.air_c) ? fields.sky_c - fields.air_c : null);
+  const verdict = useTopic(`tel/${summary.id}/observatory/safety`)?.get(`${summary.id}/observatory/safety/state`)?.body;
+  const limitOf = (property) => limitsOf(verdict?.inputs, station?.name, property).find((one) => one.side === "above");
+  const wait = summary.safety?.time_to_safe_s;
+  return html`<section class="card site-c" aria-label=${site} data-testid="site"><div class="row between"><b class="nw">${site}</b><span class="word" data-level=${now.safety === "unknown" && now.concern ? "p1" : now.safety === "safe" ? null : "quiet"}><${Icon} name=${icon} />${now.safety.toUpperCase()}</span></div>
+    ${station ? html`<dl class="vals">${WEATHER.filter(([, name]) => name === null || known(fields[name])).slice(0, 3).map(([label, name, unit, from, to, digits, property]) => {
+      const v = station.worth === "lost" ? null : value(name);
+      const limit = limitOf(property);
+      return html`<dt>${label}</dt><dd><${Bullet} value=${v} from=${from} to=${to} limit=${limit?.v} over=${limit && v !== null && v > limit.v} /></dd><dd class="v">${v === null || v === undefined ? "—" : html`<b>${number(v, digits)}</b>`} ${limit && html`<span class="desk">of ${number(limit.v, digits)}</span>`} ${unit}</dd>`;
+    })}</dl>` : html`<p class="tagline">No weather station of this site is on the bus.</p>`}
+    <div class="tagline">${station && quality(ageOf(station.entry), station.entry.period_s) !== "fresh" ? html`<span class="ink-stale">Station silent for ${duration(station.age)}</span>` : wait && now.safety === "unsafe" && skyNow() !== null
+      ? html`Safe at the earliest ${clock(skyNow() + wait * 1000)} UTC, <b class="nw">in ${duration(wait)}</b>` : now.safety === "unsafe" ? summary.safety?.reasons?.[0]?.why ?? "" : `${telescopes.length} ${telescopes.length > 1 ? "telescopes" : "telescope"}${skySpeed() !== 1 ? ", simulated" : ""}`}</div></section>`;
+}
+
+const COLUMNS = [{ key: "name", name: "Telescope", sort: (one) => one.telescope_id }, { key: "site", name: "Site", cls: "hidep", sort: (one) => one.site_id }, { key: "safety", name: "Safety", sort: (one) => rank(one) }, { key: "dome", name: "Dome", sort: (one) => standing(one).posture },
+  { key: "does", name: "Does" }, { key: "frames", name: "Frames", num: true, cls: "hidep", sort: (one) => one.frames }, { key: "rows", name: "Rows", num: true, cls: "hidep" }, { key: "age", name: "Age", num: true, sort: (one) => standing(one).age }, { key: "alert", name: "Alert" }];
+
+function All({ telescopes }) {
+  const text = useSignal("");
+  const shown = telescopes.filter((one) => `${one.id} ${activity(one, standing(one)).join(" ")}`.toLowerCase().includes(text.value.toLowerCase()));
+  return html`<${Card} name="All telescopes" flush end=${html`<label class="in"><${Icon} name="search" /><input type="search" placeholder="Filter" aria-label="Filter telescopes" onInput=${(event) => { text.value = event.target.value; }} /><kbd>/</kbd></label>`}>
+    <${Table} label="All telescopes" columns=${COLUMNS} rows=${shown} keyOf=${(one) => one.id} rowProps=${(one) => ({ "data-quality": standing(one).worth, "data-testid": "row" })} cells=${(one) => {
+      const now = standing(one);
+      const level = urgency(one, now);
+      return html`<td class="k"><a href=${`/t/${one.id}`}><${Icon} name=${postureIcon(now.posture)} />${one.telescope_id}</a></td><td class="hidep">${one.site_id}</td><td>${now.safety.toUpperCase()}</td><td>${String(now.posture).toUpperCase()}</td><td>${activity(one, now)[0]}</td>
+        <td class="num hidep">${one.frames}</td><td class="num hidep">${one.schedule ? `${one.schedule.finished}/${one.schedule.rows}` : "—"}</td><td class="num"><${Age} s=${now.age} worth=${now.worth} never="never" /></td><td>${level <= 4 && html`<${Priority} word=${PRIORITIES[level - 1]} />`}</td>`;
+    }} /><//>`;
+}
+
+export function Network() {
+  tick.value; // eslint-disable-line no-unused-expressions
+  const show = useSignal("all");
+  const view = useSignal(null);
+  const telescopes = [...net.value.values()].filter((one) => !one.shared).sort((a, b) => rank(a) - rank(b) || a.id.localeCompare(b.id));
+  if (!telescopes.length) return html`<h1 class="vh" tabindex="-1">Network</h1>${link.value === "live" ? html`<${Empty} icon="scope" title="No telescope on the bus yet">Telescopes appear here by themselves when their nodes start.<//>` : html`<p class="m">Connecting …</p>`}`;
+  const kinds = { all: () => true, need: needs, open: isOpen, wait: (one) => !one.activity?.length && !needs(one) };
+  const chosen = view.value ?? (telescopes.length > 16 ? "compact" : "cards");
+  return html`<div class="page-h"><h1 class="vh" tabindex="-1">Network</h1><${Lede} telescopes=${telescopes} /></div>
+    <div class="sites" tabindex="0" role="group" aria-label="Sites">${[...bySite(telescopes)].map(([site, here]) => html`<${Guard} name=${site} key=${site}><${Site} site=${site} telescopes=${here} /><//>`)}</div>
+    <div class="row wrap chips-x">${[["all", "All"], ["need", "Need you"], ["open", "Open"], ["wait", "Waiting"]].map(([kind, word]) => html`<button key=${kind} class="chip" aria-pressed=${String(show.value === kind)} onClick=${() => { show.value = kind; }}>${word} <i>${telescopes.filter(kinds[kind]).length}</i></button>`)}
+      <span class="grow"></span><span class="tagline desk">Worst first</span><${Segment} label="View" options=${[["cards", "Cards"], ["compact", "Compact"]]} value=${chosen} onChange=${(value) => { view.value = value; }} /></div>
+    <div class="tiles" data-view=${chosen === "compact" ? "compact" : null}>${telescopes.filter(kinds[show.value]).map((one) => html`<${Guard} name=${one.telescope_id} key=${one.id}><${Tile} summary=${one} /><//>`)}</div>
+    <${All} telescopes=${telescopes} />`;
+}

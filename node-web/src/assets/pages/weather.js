@@ -1,0 +1,98 @@
+// Weather and safety: every parameter with its limits in view, every reason with the time it can clear, on one cursor.
+import { html, useSignal } from "../lib.js";
+import { Chart, pointsOf } from "../chart.js";
+import { devicesOf, known } from "../devices.js";
+import { clock, duration, number, plain } from "../format.js";
+import { SPANS, useHistory } from "../history.js";
+import { Age, Bullet, Card, Empty, Loaded, Segment, Table, Time, Words, standing } from "../parts.js";
+import { bySite } from "../shell.js";
+import { ageOf, net, quality, skyNow, tick, useTopic } from "../store.js";
+
+/** Property of ObservingConditions, field of the state, name for people, unit, usual scale, decimals. */
+export const PARAMETERS = [
+  ["WindSpeed", "wind_mps", "Wind", "m/s", [0, 25], 1], ["WindGust", "gust_mps", "Gusts", "m/s", [0, 30], 1], ["Humidity", "humidity_percent", "Humidity", "%", [0, 100], 0],
+  ["SkyTemperature", "sky_c", "Sky temperature", "°C", [-60, 20], 1], ["Temperature", "air_c", "Air", "°C", [-20, 40], 1], ["DewPoint", "dew_point_c", "Dew point", "°C", [-40, 30], 1],
+  ["RainRate", "rain_mm_per_h", "Rain", "mm/h", [0, 10], 1], ["CloudCover", "cloud_percent", "Cloud", "%", [0, 100], 0], ["Pressure", "pressure_hpa", "Pressure", "hPa", [500, 1050], 0],
+  ["SkyQuality", "sky_mag_per_arcsec2", "Sky quality", "mag/arcsec²", [0, 22], 2], ["SkyBrightness", "sky_lux", "Sky brightness", "lx", [0, 100], 3], ["StarFWHM", "star_fwhm_arcsec", "Star FWHM", "″", [0, 5], 2],
+];
+
+/** Value of an input of the verdict, with its unit. */
+export function inputValue({ input, value }) {
+  const unit = PARAMETERS.find(([property]) => property === String(input).split("/").pop())?.[3];
+  const text = plain(value).replace(/^-/, "\u2212").replace(/ deg$/, "°");
+  return unit && /\d$/.test(text) ? `${text} ${unit}` : text;
+}
+
+/** Limits of a property, from the verdict's own state: `[{ v, side, text }]`. */
+export function limitsOf(inputs, device, property) {
+  const found = (inputs ?? []).filter((input) => input.input === `${device}/${property}`).flatMap((input) => input.limits ?? []);
+  return found.flatMap((limit) => [
+    limit.upper != null && { v: limit.upper, side: "above", text: `closes above ${number(limit.upper)}` },
+    limit.lower != null && { v: limit.lower, side: "below", text: `closes below ${number(limit.lower)}` },
+  ]).filter(Boolean);
+}
+
+/** Intervals in which the verdict was not safe, as pairs of times. */
+function unsafeTimes(safety, t0, now) {
+  const out = (safety?.intervals ?? []).map((interval) => [interval, Date.parse(interval.from_utc), interval.until_utc ? Date.parse(interval.until_utc) : now]).filter(([interval]) => interval.verdict !== "safe").map(([, from, to]) => [Math.max(from, t0), to]);
+  return out.filter(([from, to]) => to > from);
+}
+
+function Reasons({ id, summary, entry }) {
+  const now = standing(summary);
+  const since = entry ? ageOf(entry) : 0;
+  const reasons = entry?.body.reasons ?? [];
+  const sky = skyNow();
+  return html`<${Card} name="Safety" testid="reasons" end=${entry && html`since <${Time} utc=${entry.body.since_utc} />`}><div class="row"><${Words} now=${now} lg /></div>
+    ${!entry ? html`<p class="m">No verdict received yet.</p>` : reasons.length ? html`<${Table} label="Reasons" columns=${[{ key: "i", name: "Reason" }, { key: "w", name: "Why" }, { key: "c", name: "Can clear", num: true }]} rows=${reasons} keyOf=${(reason) => reason.input}
+      cells=${(reason) => { const left = reason.clears_in_s == null ? null : Math.max(0, reason.clears_in_s - since); return html`<td class="k">${reason.input}</td><td>${reason.why}</td><td class="num">${left === null ? "not known" : html`<b>${clock(sky + left * 1000)}</b>, in ${duration(left)}`}</td>`; }} />` : html`<p class="m">Every input of the verdict is good.</p>`}
+    ${(entry?.body.advisories ?? []).map((advice) => html`<p class="note p3" key=${advice.input}><b>${advice.input}</b> ${advice.why}</p>`)}<//>`;
+}
+
+function Station({ id, device, inputs, safety }) {
+  const hours = useSignal(6);
+  const measured = PARAMETERS.filter(([, name]) => known(device.fields[name]));
+  const owner = `${device.site}/${device.telescope}`;
+  const past = useHistory(owner, measured.map(([property]) => `${device.kind}/${device.name}/${property}`), hours.value, 400);
+  const series = (property) => past.series(`${device.kind}/${device.name}/${property}`);
+  return html`<${Card} name=${`${device.name}, now`} flush end=${html`<${Age} s=${device.age} worth=${device.worth} after=" ago" />`} testid="station"><${Table} label="Weather now" columns=${[{ key: "p", name: "Parameter" }, { key: "v", name: "Value", num: true }, { key: "s", name: "On its scale" }, { key: "l", name: "Limit", num: true }, { key: "r", name: "Least and most", num: true, cls: "hidep" }]} rows=${measured} keyOf=${([property]) => property}
+      cells=${([property, name, label, unit, scale, digits]) => {
+        const value = device.worth === "lost" ? null : device.fields[name];
+        const [limit] = limitsOf(inputs, device.name, property);
+        const points = series(property)?.points ?? [];
+        const least = Math.min(...points.map((point) => point.min ?? point.mean));
+        const most = Math.max(...points.map((point) => point.max ?? point.mean));
+        const over = limit && value !== null && (limit.side === "below" ? value < limit.v : value > limit.v);
+        return html`<td class="k">${label}</td><td class="num"><b class=${over ? "ink-p2" : null} data-value=${value}>${value === null ? "—" : number(value, digits)}</b> ${unit}</td><td><${Bullet} value=${value} from=${scale[0]} to=${scale[1]} limit=${limit?.v} below=${limit?.side === "below"} over=${over} range=${points.length ? [least, most] : null} /></td>
+          <td class="num">${limit ? `${limit.side === "below" ? "≥" : "≤"} ${number(limit.v, digits)}` : "—"}</td><td class="num hidep">${points.length ? `${number(least, digits)} … ${number(most, digits)}` : "—"}</td>`;
+      }} /><//>
+    <${Card} name="The past" end=${html`<${Segment} label="How far back" options=${SPANS} value=${hours.value} onChange=${(value) => { hours.value = value; }} />`}><${Loaded} of=${past} what="The past">${() => {
+      const panels = measured.filter(([property]) => series(property)?.points.length).map(([property, , label, unit, , digits]) => ({ name: label, unit, digits, height: 110, limits: limitsOf(inputs, device.name, property),
+        series: [{ name: "", points: pointsOf(series(property)), colour: "--s4" }, { name: "most", points: pointsOf(series(property), "max"), colour: "--s1", width: 0.7, quiet: true }, { name: "least", points: pointsOf(series(property), "min"), colour: "--s1", width: 0.7, quiet: true }] }));
+      if (!panels.length) return html`<${Empty} icon="cloud" title="The archive has no weather of this time yet" />`;
+      return html`<p class="tagline">Line: mean. Thin lines: least and most of each piece, so that a gust of seconds is seen over three days. Hatched: beyond a limit. Bar at the foot: not safe.</p>
+        <${Chart} t0=${past.t0} t1=${past.t1} now=${skyNow()} unsafe=${unsafeTimes(safety, past.t0, past.t1)} panels=${panels} />`;
+    }}<//><//>`;
+}
+
+/** The weather as one telescope judges it. */
+export function Weather({ id, summary }) {
+  tick.value; // eslint-disable-line no-unused-expressions
+  const states = useTopic(`tel/${id}`);
+  const entry = states?.get(`${id}/observatory/safety/state`);
+  const inputs = entry?.body.inputs ?? [];
+  const stations = devicesOf(states).filter((device) => device.kind === "observingconditions");
+  return html`${!summary.shared && html`<div class="grid g-side"><${Reasons} id=${id} summary=${summary} entry=${entry} /><${Card} name="Inputs" flush><${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: "Age", num: true }]} rows=${inputs} keyOf=${(input) => input.input}
+      cells=${(input) => html`<td class="k">${input.good ? "" : "▼ "}${input.input}</td><td>${inputValue(input)}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} never="never" /></td>`} /><//></div>`}
+    ${stations.length ? stations.map((device) => html`<${Station} key=${device.key} id=${id} device=${device} inputs=${inputs} safety=${entry?.body} />`) : html`<${Empty} icon="cloud" title="No weather station">None of this telescope or its site is on the bus.<//>`}`;
+}
+
+/** The weather of every site. */
+export function AllWeather() {
+  tick.value; // eslint-disable-line no-unused-expressions
+  return html`<div class="page-h"><h1 tabindex="-1">Weather</h1></div>${[...bySite([...net.value.values()])].map(([site, telescopes]) => html`<section key=${site} class="stack" aria-label=${site}><h2>${site}</h2><div class="grid g3">${telescopes.map((summary) => {
+    const now = standing(summary);
+    return html`<section class="card" key=${summary.id}><header><h2><a href=${`/t/${summary.id}/weather`}>${summary.telescope_id}</a></h2></header><${Words} now=${now} />${(summary.safety?.reasons ?? []).map((reason) => html`<p key=${reason.input}><b>${reason.input}</b> ${reason.why}</p>`)}
+      ${summary.safety?.time_to_safe_s != null && now.safety === "unsafe" && html`<p class="m">Safe at the earliest in ${duration(summary.safety.time_to_safe_s)}.</p>`}<p><a class="btn sm soft" href=${`/t/${summary.id}/weather`}>Limits and history</a></p></section>`;
+  })}</div></section>`)}`;
+}

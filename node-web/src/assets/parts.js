@@ -1,0 +1,185 @@
+// Pieces that many pages show: icons, words, ages, values, cards. Their looks are those of starmesh.css.
+import { Component, html, useEffect, useRef, useSignal } from "./lib.js";
+import { clock, duration } from "./format.js";
+import { link, quality, tick } from "./store.js";
+
+export const Icon = ({ name, cls = "" }) => html`<svg class=${`i ${cls}`} aria-hidden="true"><use href=${`#i-${name}`} /></svg>`;
+export const Shape = ({ n }) => html`<svg class="sh" aria-hidden="true"><use href=${`#sh${n}`} /></svg>`;
+
+/** Priorities of alerts in their order, each with its number and its word. */
+export const PRIORITIES = ["critical", "high", "medium", "advisory"];
+export const priorityNumber = (word) => PRIORITIES.indexOf(word) + 1 || 4;
+const title = (word) => word[0].toUpperCase() + word.slice(1);
+
+/** A priority by shape, colour and word; `off` where nobody needs to act now. */
+export const Priority = ({ word, off, text }) => html`<span class=${`pri ${off ? "off" : `p${priorityNumber(word)}`}`}><${Shape} n=${priorityNumber(word)} />${text ?? title(word)}</span>`;
+
+/** Counts of active alerts, each with its shape. */
+export function Counts({ counts, cls = "" }) {
+  const shown = PRIORITIES.slice(0, 3).map((word, i) => [word, i + 1, counts?.[`p${i + 1}`] ?? 0]).filter(([, , n]) => n > 0);
+  return shown.map(([word, n, count]) => html`<span key=${n} class=${`ink-p${n} ${cls}`} data-testid=${`count-${word}`}><${Shape} n=${n} />${count}<span class="vh"> ${word}</span></span>`);
+}
+
+/** How a summary stands now: its quality and age are judged here too, because messages stop coming when the link is lost. */
+export function standing(summary) {
+  tick.value; // eslint-disable-line no-unused-expressions -- an age is drawn each second
+  const age = summary.age_s === null || summary.age_s === undefined ? null : summary.age_s + (performance.now() - summary.received) / 1000;
+  const worth = quality(age, 1);
+  const fresh = age !== null && worth === "fresh";
+  // Its nodes were stopped in good order: that they are silent concerns nobody, unless something is open.
+  const stopped = !fresh && summary.stopped && summary.stopped.closed !== false ? summary.stopped : null;
+  const concern = stopped ? null : fresh ? summary.concern : link.value === "live" && age !== null && worth === "lost" ? summary.concern ?? 1 : null;
+  return {
+    age,
+    worth: age === null ? "lost" : worth,
+    never: age === null,
+    fresh,
+    stopped,
+    concern: concern ?? null,
+    safety: fresh ? summary.safety?.state ?? "unknown" : "unknown",
+    // The dome's own device node may know the posture where the observatory node is silent.
+    posture: fresh ? summary.posture : stopped?.closed ? "closed" : summary.dome?.posture ?? "unknown",
+    mode: fresh ? summary.mode : "unknown",
+  };
+}
+
+/** The most urgent priority of a telescope as 1 to 4, or 9: its two words and its alerts. */
+export function urgency(summary, now = standing(summary)) {
+  const counts = summary.alert_counts ?? {};
+  return Math.min(now.concern ?? 9, [1, 2, 3, 4].find((n) => counts[`p${n}`]) ?? 9);
+}
+
+/** Counts of a list of summaries: alerts, and telescopes whose two words are alarming without one. */
+export function totals(summaries) {
+  const sum = { p1: 0, p2: 0, p3: 0, p4: 0 };
+  for (const summary of summaries) {
+    for (const priority in sum) sum[priority] += summary.alert_counts?.[priority] ?? 0;
+    const { concern } = standing(summary);
+    if (concern && !summary.alert_counts?.[`p${concern}`]) sum[`p${concern}`] = (sum[`p${concern}`] ?? 0) + 1;
+  }
+  return sum;
+}
+
+const SAFETY = { safe: "safe", unsafe: "unsafe", unknown: "unknown" };
+const POSTURE = { open: "open", closed: "closed", opening: "moving", closing: "moving" };
+export const postureIcon = (posture) => POSTURE[posture] ?? "domeq";
+
+/** Safety and posture: two words that never merge. */
+export function Words({ now, lg }) {
+  if (now.stopped) return html`<span class="words" data-testid="words" data-safety="stopped" data-posture=${now.posture}><span class=${`word ${lg ? "lg" : ""}`} data-level="quiet"><${Icon} name=${postureIcon(now.posture)} />${now.stopped.text}</span></span>`;
+  const level = now.concern ? `p${now.concern}` : now.safety === "unsafe" && now.posture === "closed" ? "quiet" : null;
+  const safetyLevel = now.concern && (now.safety !== "safe" || now.posture === "unknown") ? `p${now.concern}` : now.safety === "unsafe" ? level ?? "quiet" : null;
+  const postureLevel = now.concern && now.posture !== "closed" ? `p${now.concern}` : null;
+  return html`<span class="words" data-testid="words" data-safety=${now.safety} data-posture=${now.posture}>
+    <span class=${`word ${lg ? "lg" : ""}`} data-safety=${now.safety} data-level=${safetyLevel}><span class="vh">safety </span><${Icon} name=${SAFETY[now.safety] ?? "unknown"} />${now.safety === "unknown" ? "SAFETY UNKNOWN" : now.safety.toUpperCase()}</span>
+    <span class=${`word ${lg ? "lg" : ""}`} data-posture=${now.posture} data-level=${postureLevel}><span class="vh">dome </span><${Icon} name=${postureIcon(now.posture)} />${now.posture === "unknown" ? "DOME UNKNOWN" : String(now.posture).toUpperCase()}</span>
+  </span>`;
+}
+
+export const Mode = ({ now, summary }) => html`${now.mode !== "unknown" && html`<span class="mode">${String(now.mode).toUpperCase()}</span>`}${summary.simulated && html`<span class="mode sim">SIMULATION</span>`}`;
+
+/** An age that ticks, with the word for what it is worth. */
+export function Age({ s, worth, never = "not received yet", after = "" }) {
+  tick.value; // eslint-disable-line no-unused-expressions
+  if (s === null || s === undefined) return html`<span class="age" data-quality="lost">${never}</span>`;
+  const words = { fresh: "", ageing: "", stale: "stale ", lost: "lost " }[worth] ?? "";
+  return html`<span class="age" data-quality=${worth} data-age-s=${Math.floor(s)}>${words}${duration(s)}${after}</span>`;
+}
+
+/** A value with its name and unit. `worth` is its quality; what is lost is a dash. */
+export function Stat({ name, value, unit, worth = "fresh", sub, lg, level }) {
+  const gone = value === null || value === undefined || value === "" || worth === "lost";
+  return html`<dl class=${`stat ${lg ? "lg" : ""}`} data-quality=${gone ? "lost" : worth}><dt>${name}</dt><dd><b class=${level ? `ink-${level}` : null}>${gone ? "—" : value}</b>${unit ? ` ${unit}` : ""}</dd>${sub && html`<dd class="sub">${sub}</dd>`}</dl>`;
+}
+
+/** A value on a scale whose far side, beyond the limit, is hatched. `range` is the newest hour's least and greatest. */
+export function Bullet({ value, from, to, limit, below, range, over }) {
+  const at = (v) => `${Math.max(0, Math.min(100, ((v - from) / (to - from)) * 100)).toFixed(1)}%`;
+  if (value === null || value === undefined) return html`<div class="bullet gone"><i></i></div>`;
+  const style = { "--v": at(value) };
+  if (limit !== null && limit !== undefined) Object.assign(style, below ? { "--from": "0%", "--to": at(limit) } : { "--from": at(limit), "--to": "100%" });
+  return html`<div class=${`bullet ${over ? "over" : ""} ${below ? "low" : ""}`} style=${style}>${range && html`<s style=${{ "--a": at(range[0]), "--b": at(range[1]) }}></s>`}<i></i></div>`;
+}
+
+/** A card with a title; `flush` where a table or a list fills it. */
+export function Card({ name, end, flush, cls = "", children, testid, label }) {
+  return html`<section class=${`card ${flush ? "flush" : ""} ${cls}`} aria-label=${label ?? name} data-testid=${testid}>
+    ${name && html`<header><h2>${name}</h2>${end && html`<span class="end">${end}</span>`}</header>`}
+    <${Guard} name=${label ?? name ?? "this part"}>${children}<//>
+  </section>`;
+}
+
+/** Nothing yet, none, or broken: never an empty panel without a reason. */
+export const Empty = ({ icon = "info", title: head, children, hatch }) => html`<div class=${`empty ${hatch ? "hatch" : ""}`}><${Icon} name=${icon} /><b>${head}</b>${children && html`<span>${children}</span>`}</div>`;
+
+/** What a GET gave: `children(data)` once there is something, else why there is nothing yet. */
+export function Loaded({ of, what, children }) {
+  if (of.data !== null) return html`${of.error && html`<p class="note p3"><span class="grow"><b>${what} could not be read again.</b> ${of.error.message} What you see is older.</span></p>`}${children(of.data)}`;
+  if (of.error) return html`<${Empty} icon="warn" title=${`${what} cannot be read`} hatch>${of.error.message} <button class="btn sm soft" onClick=${of.again}>Try again</button><//>`;
+  return html`<p class="m">Reading ${what} …</p>`;
+}
+
+/** A part that cannot be drawn says so in its place; the others are not concerned. */
+export class Guard extends Component {
+  constructor(props) {
+    super(props);
+    this.state = { error: null };
+  }
+
+  static getDerivedStateFromError(error) {
+    return { error };
+  }
+
+  componentDidCatch(error) {
+    console.warn(`${this.props.name} cannot be drawn`, error);
+  }
+
+  render({ name, children }, { error }) {
+    if (!error) return children;
+    return html`<div class="empty hatch" role="alert" data-broken=${name}><${Icon} name="warn" /><b>${name}: this part cannot be shown</b>
+      <span>${String(error?.message ?? error).slice(0, 200)}. What it showed before is not relied on here. <button class="btn sm soft" onClick=${() => this.setState({ error: null })}>Try again</button></span></div>`;
+  }
+}
+
+/** A dialog that is open while it is shown; Escape and the area around it close it. */
+export function Dialog({ label, close, children }) {
+  const element = useRef(null);
+  useEffect(() => {
+    const dialog = element.current;
+    const before = document.activeElement;
+    dialog.showModal();
+    (dialog.querySelector("[data-first]") ?? dialog).focus();
+    return () => {
+      dialog.close();
+      before?.focus?.();
+    };
+  }, []);
+  return html`<dialog ref=${element} aria-label=${label} onCancel=${(event) => { event.preventDefault(); close(); }}
+    onClick=${(event) => event.target === element.current && close()}><div class="stack">${children}</div></dialog>`;
+}
+
+/** A group of buttons of which one is pressed: `options` are `[value, word]`. */
+export const Segment = ({ label, options, value, onChange, cls = "" }) => html`<span class=${`seg ${cls}`} role="group" aria-label=${label}>${options.map(([option, word]) =>
+  html`<button key=${option} type="button" aria-pressed=${String(option === value)} onClick=${() => onChange(option)}>${word}</button>`)}</span>`;
+
+/** A table that may scroll sideways. `columns`: `{ key, name, num, sort(row), cls }`; `cells(row)` gives the `<td>`s. */
+export function Table({ label, columns, rows, cells, keyOf, rowProps = () => ({}), cls = "", sorted = null }) {
+  const order = useSignal(sorted ?? { key: null, up: true });
+  const by = columns.find((column) => column.key === order.value.key);
+  const shown = by?.sort ? [...rows].sort((a, b) => compare(by.sort(a), by.sort(b)) * (order.value.up ? 1 : -1)) : rows;
+  const press = (key) => () => { order.value = { key, up: order.value.key === key ? !order.value.up : true }; };
+  return html`<div class="tw" tabindex="0" role="group" aria-label=${`${label}, may scroll sideways`}><table class=${cls}>
+    <thead><tr>${columns.map((column) => html`<th key=${column.key} scope="col" class=${`${column.num ? "num" : ""} ${column.cls ?? ""}`} data-sort=${column.sort ? "" : null}
+      aria-sort=${by === column ? (order.value.up ? "ascending" : "descending") : null}>${column.sort ? html`<button type="button" onClick=${press(column.key)}>${column.name}</button>` : column.name}</th>`)}</tr></thead>
+    <tbody>${shown.map((row) => html`<tr key=${keyOf(row)} ...${rowProps(row)}>${cells(row)}</tr>`)}</tbody></table></div>`;
+}
+
+function compare(a, b) {
+  if (a === b) return 0;
+  if (a === null || a === undefined) return 1;
+  if (b === null || b === undefined) return -1;
+  return a < b ? -1 : 1;
+}
+
+/** A time of day with its full stamp as title. */
+export const Time = ({ utc }) => (utc ? html`<time datetime=${utc} title=${utc}>${clock(utc)}</time>` : "—");

@@ -1,0 +1,45 @@
+// Two values against each other, as SVG.
+import { html } from "./lib.js";
+import { number } from "./format.js";
+
+/** Round values between two, about `n` of them. */
+export function steps(low, high, n = 4) {
+  const raw = (high - low) / n || 1;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 2.5, 5, 10].find((k) => k * power >= raw * 0.999) * power;
+  const out = [];
+  for (let value = Math.ceil(low / step - 1e-9) * step; value <= high + 1e-9 * step; value += step) out.push(Number(value.toPrecision(12)));
+  return out;
+}
+
+/** The span of values with some air, at least `least` wide. */
+export function span(values, least = 0) {
+  const known = values.filter(Number.isFinite);
+  if (!known.length) return [-1, 1];
+  let [low, high] = [Math.min(...known), Math.max(...known)];
+  if (high - low < least) { const middle = (high + low) / 2; [low, high] = [middle - least / 2, middle + least / 2]; }
+  const air = (high - low || Math.abs(high) || 1) * 0.08;
+  return [low - air, high + air];
+}
+
+/** `points`: `{ x, y, kind: "dot" | "ring" | "cross", error, title }`; `lines`: lists of `[x, y]`. `equal`: both axes have one scale, around zero. */
+export function Plane({ points, lines = [], xName, yName, label, height = 300, width = 380, equal, xDigits = 0, yDigits = 1 }) {
+  const [left, bottom, right, top] = [48, 34, 12, 10];
+  let xs = span([...points.map((p) => p.x), ...lines.flat().map(([x]) => x)]);
+  let ys = span([...points.map((p) => p.y), ...lines.flat().map(([, y]) => y)]);
+  if (equal) {
+    const most = Math.max(...[...xs, ...ys].map(Math.abs));
+    xs = [-most, most];
+    ys = [-most, most];
+  }
+  const X = (value) => left + ((value - xs[0]) / (xs[1] - xs[0])) * (width - left - right);
+  const Y = (value) => height - bottom - ((value - ys[0]) / (ys[1] - ys[0])) * (height - bottom - top);
+  return html`<div class="chart"><svg viewBox=${`0 0 ${width} ${height}`} height=${height} role="img" aria-label=${label}><rect class="frame-bg" x=${left} y=${top} width=${width - left - right} height=${height - bottom - top} />
+    ${steps(...ys).map((value) => html`<g key=${`y${value}`}><path class="ax" d=${`M${left} ${Y(value).toFixed(1)}H${width - right}`} /><text x=${left - 7} y=${Y(value) + 4} text-anchor="end">${number(value, yDigits)}</text></g>`)}
+    ${steps(...xs).map((value) => html`<g key=${`x${value}`}><path class="ax" d=${`M${X(value).toFixed(1)} ${top}V${height - bottom}`} /><text x=${X(value)} y=${height - bottom + 15} text-anchor="middle">${number(value, xDigits)}</text></g>`)}
+    <text x=${(left + width - right) / 2} y=${height - 3} text-anchor="middle">${xName}</text><text class="h" x=${left + 8} y=${top + 15}>${yName}</text>
+    ${equal && html`<path class="lim" d=${`M${X(0)} ${top}V${height - bottom}M${left} ${Y(0)}H${width - right}`} />`}
+    ${lines.map((line, i) => html`<path key=${`l${i}`} class="ln s4" d=${line.map(([x, y], k) => `${k ? "L" : "M"}${X(x).toFixed(1)} ${Y(y).toFixed(1)}`).join("")} />`)}
+    ${points.filter((p) => Number.isFinite(p.x) && Number.isFinite(p.y)).map((p, i) => html`<g key=${`p${i}`}><title>${p.title ?? ""}</title>${p.error > 0 && html`<path class="ln s4" d=${`M${X(p.x)} ${Y(p.y - p.error)}V${Y(p.y + p.error)}`} />`}
+      ${p.kind === "cross" ? html`<path class="ln s2" d=${`M${X(p.x) - 4} ${Y(p.y) - 4}l8 8m0-8l-8 8`} />` : html`<circle class=${`pt ${p.kind === "ring" ? "s2" : "s1"}`} cx=${X(p.x)} cy=${Y(p.y)} r="3" />`}</g>`)}</svg></div>`;
+}

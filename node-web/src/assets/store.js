@@ -1,0 +1,185 @@
+// The live socket, and what it has sent: a mirror of what the web node receives. Times are this browser's monotonic milliseconds.
+import { signal, useEffect } from "./lib.js";
+import { forgetUser } from "./user.js";
+
+/** `connecting` before the first message, then `live` or `lost`. */
+export const link = signal("connecting");
+/** Sky time when the link was lost, ms since 1970. */
+export const lostAt = signal(null);
+/** Why the last message could not be read, while the page waits for a whole new picture. */
+export const fault = signal("");
+/** Version of the web node. */
+export const version = signal("");
+/** Round trip of the newest ping, ms. */
+export const roundTrip = signal(null);
+/** Each summary of a telescope by `site/telescope`, with `received`. */
+export const net = signal(new Map());
+/** Counts up each second, so that what shows an age is drawn again. */
+export const tick = signal(0);
+
+const SILENT_MS = 3000;
+const RESUMABLE = /^(log|frames)/;
+const KEPT_EVENTS = 600;
+let sky = null;
+let socket = null;
+let received = 0;
+let tries = 0;
+let retry = 0;
+let pinged = 0;
+let session = "";
+/** Topic -> { users, data: signal, seq }. */
+const topics = new Map();
+
+/** Opens the socket and keeps it open. */
+export function start() {
+  connect();
+  setInterval(() => {
+    if (link.value === "live" && performance.now() - received > SILENT_MS) lose();
+    tick.value += 1;
+    if (tick.value % 10 === 1 && socket?.readyState === WebSocket.OPEN) {
+      pinged = performance.now();
+      socket.send(JSON.stringify({ op: "ping" }));
+    }
+  }, 1000);
+  addEventListener("online", () => socket === null && connect());
+}
+
+/** Sky time now, ms since 1970, ticking with the server's clock; null before the first message. */
+export const skyNow = () => sky && sky.utc + (performance.now() - sky.at) * sky.speed;
+/** Sky seconds per second. */
+export const skySpeed = () => sky?.speed ?? 1;
+
+/** Age of something received, s. */
+export const ageOf = (entry) => (performance.now() - entry.since) / 1000;
+
+/** What an age is worth; nothing is fresh while the link is lost. The server judges by the same rule. */
+export function quality(age, period) {
+  if (age === null || age === undefined) return "lost";
+  const judged = period === null || period === undefined ? "fresh" : age > Math.max(5 * period, 15) ? "lost" : age > Math.max(2 * period, 5) ? "stale" : "fresh";
+  return link.value === "live" || judged === "lost" ? judged : "stale";
+}
+
+/**
+ * The data of a topic while a component is shown. Of `tel/SITE/TELESCOPE`: a map of `{ body, at_utc, period_s, since }` by key; of topics with
+ * `items`: a map by id; of `log…` and `frames/…`: a list, newest first. `null` until its first message.
+ */
+export function useTopic(name) {
+  const entry = entryOf(name);
+  useEffect(() => {
+    if (!name) return undefined;
+    entry.users += 1;
+    if (entry.users === 1) send({ op: "sub", topics: [name] });
+    return () => {
+      entry.users -= 1;
+      // A page that is left for another of the same telescope keeps its topic.
+      setTimeout(() => {
+        if (entry.users > 0 || topics.get(name) !== entry) return;
+        topics.delete(name);
+        send({ op: "unsub", topics: [name] });
+      }, 2000);
+    };
+  }, [name]);
+  return entry.data.value;
+}
+
+function entryOf(name) {
+  if (!topics.has(name)) topics.set(name, { users: 0, data: signal(null), seq: null });
+  return topics.get(name);
+}
+
+function send(message) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+}
+
+function connect() {
+  clearTimeout(retry);
+  const opened = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/v1/ws`);
+  socket = opened;
+  received = performance.now();
+  opened.onopen = () => {
+    const wanted = [...topics].filter(([, entry]) => entry.users > 0);
+    const resume = Object.fromEntries(wanted.filter(([name, entry]) => RESUMABLE.test(name) && entry.seq !== null).map(([name, entry]) => [name, entry.seq]));
+    const message = { op: "sub", topics: ["net", ...wanted.map(([name]) => name)] };
+    if (session && Object.keys(resume).length) message.resume = { session, seq: resume };
+    opened.send(JSON.stringify(message));
+  };
+  opened.onmessage = (event) => {
+    if (opened !== socket) return;
+    const now = performance.now();
+    try {
+      take(JSON.parse(event.data), now);
+    } catch (error) {
+      // What was taken may be half of it: begin anew with a whole picture, and let nothing old look live.
+      console.warn("a message cannot be read", error);
+      fault.value = "What the server sent cannot be read.";
+      for (const entry of topics.values()) entry.seq = null;
+      lose();
+      return;
+    }
+    received = now;
+    tries = 0;
+    lostAt.value = null;
+    link.value = "live";
+    fault.value = "";
+  };
+  opened.onclose = () => {
+    if (opened === socket) lose();
+  };
+}
+
+function lose() {
+  const old = socket;
+  socket = null;
+  old?.close();
+  forgetUser();
+  if (link.value === "live") lostAt.value = skyNow();
+  link.value = link.value === "connecting" && tries < 2 ? "connecting" : "lost";
+  const wait = Math.min(8000, 500 * 2 ** tries) * (0.7 + 0.6 * Math.random());
+  tries += 1;
+  clearTimeout(retry);
+  retry = setTimeout(connect, wait);
+}
+
+function take(message, now) {
+  const { op, topic, data } = message;
+  if (message.at_utc) sky = { utc: Date.parse(message.at_utc), at: now, speed: data?.speed ?? sky?.speed ?? 1 };
+  if (op === "welcome") {
+    version.value = data.version;
+    session = data.session ?? "";
+  } else if (op === "pong") roundTrip.value = now - pinged;
+  else if (op === "err") console.warn(data?.detail);
+  else if (topic === "net") net.value = items(net.value, op, data, now);
+  else if (topics.has(topic)) {
+    const entry = topics.get(topic);
+    if (message.seq !== undefined) entry.seq = message.seq;
+    if (topic.startsWith("tel/")) entry.data.value = states(entry.data.value, op, data, now);
+    else if (RESUMABLE.test(topic)) entry.data.value = events(entry.data.value, op, data);
+    else entry.data.value = items(entry.data.value ?? new Map(), op, data, now);
+  }
+}
+
+function items(before, op, data, now) {
+  const after = op === "snap" ? new Map() : new Map(before);
+  for (const [id, item] of Object.entries(data.items ?? {})) after.set(id, { ...item, received: now });
+  for (const id of data.gone ?? []) after.delete(id);
+  for (const [id, ages] of Object.entries(data.ages ?? {})) {
+    if (after.has(id)) after.set(id, { ...after.get(id), ...ages, received: now });
+  }
+  return after;
+}
+
+function states(before, op, data, now) {
+  const after = op === "snap" ? new Map() : new Map(before);
+  for (const [key, entry] of Object.entries(data.states ?? {})) after.set(key, { ...entry, since: now - entry.age_s * 1000 });
+  for (const key of data.gone ?? []) after.delete(key);
+  for (const [key, [age, utc]] of Object.entries(data.again ?? {})) {
+    if (after.has(key)) after.set(key, { ...after.get(key), since: now - age * 1000, at_utc: utc });
+  }
+  return after;
+}
+
+function events(before, op, data) {
+  if (op === "gap") return before;
+  const list = op === "snap" ? data : [...data, ...(before ?? [])];
+  return [...list].sort((a, b) => (a.at_utc < b.at_utc ? 1 : a.at_utc > b.at_utc ? -1 : (b.number ?? 0) - (a.number ?? 0))).slice(0, KEPT_EVENTS);
+}

@@ -1,0 +1,156 @@
+// A frame to look into: fit, 1:1 or 4:1, dragged and zoomed, with the value and the place under the pointer.
+import { html, useEffect, useRef, useSignal } from "./lib.js";
+import { declination, number, rightAscension } from "./format.js";
+import { drawn, greys, pixelOf, skyOf } from "./pixels.js";
+
+const TILE = 256;
+const MOST_TILES = 400;
+
+/** Lines of the grid in right ascension and declination, as paths in pixels of the frame. */
+function grid(wcs, width, height) {
+  const corners = [[0, 0], [width, 0], [0, height], [width, height]].map(([x, y]) => skyOf(wcs, x, y));
+  const centre = skyOf(wcs, width / 2, height / 2);
+  if (!centre || corners.some((corner) => !corner)) return [];
+  const decs = corners.map(([, dec]) => dec);
+  const [low, high] = [Math.min(...decs), Math.max(...decs)];
+  const step = [10, 5, 2, 1, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01].find((one) => (high - low) / one >= 3) ?? 0.01;
+  const across = step / Math.max(0.05, Math.cos(centre[1] * Math.PI / 180));
+  const raStep = [30, 15, 7.5, 3.75, 2.5, 1.25, 0.625, 0.25, 0.125, 0.0625, 0.025].find((one) => one <= across * 1.6) ?? 0.025;
+  const lines = [];
+  const path = (points) => points.filter(Boolean).map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
+  for (let dec = Math.ceil((low - step) / step) * step; dec <= high + step; dec += step) {
+    lines.push(path(Array.from({ length: 33 }, (_, i) => pixelOf(wcs, centre[0] + (i - 16) * raStep / 4, dec))));
+  }
+  const n = Math.ceil(6);
+  for (let i = -n; i <= n; i += 1) {
+    const ra = Math.round(centre[0] / raStep + i) * raStep;
+    lines.push(path(Array.from({ length: 25 }, (_, k) => pixelOf(wcs, ra, low - step + ((high - low + 2 * step) * k) / 24))));
+  }
+  return lines;
+}
+
+/** `tiles`: a `Tiles`; `stretch`: black and white in numbers of tiles, curve, invert; `layers`: a set of `grid`, `target`. */
+export function Viewer({ tiles, width, height, stretch, zoom, layers, wcs, target, onError }) {
+  const place = useRef(null);
+  const canvas = useRef(null);
+  const view = useRef({ cx: width / 2, cy: height / 2, scale: 0 });
+  const pictures = useRef({ key: "", map: new Map() });
+  const under = useSignal(null);
+  const frameOfView = useSignal({ x: 0, y: 0, scale: 1, w: 100, h: 100 });
+  const busy = useRef(false);
+
+  const paint = async () => {
+    const element = canvas.current;
+    if (!element) return;
+    const box = element.getBoundingClientRect();
+    const ratio = devicePixelRatio || 1;
+    if (element.width !== Math.round(box.width * ratio)) {
+      element.width = Math.round(box.width * ratio);
+      element.height = Math.round(box.height * ratio);
+    }
+    const fit = Math.min(box.width / width, box.height / height);
+    const state = view.current;
+    const scale = state.scale || fit;
+    const [left, top] = [state.cx - box.width / 2 / scale, state.cy - box.height / 2 / scale];
+    frameOfView.value = { x: left, y: top, scale, w: box.width, h: box.height };
+    const highest = tiles.highest ?? 0;
+    // The coarsest level whose numbers are not larger than the pixels of the screen.
+    const z = Math.max(0, Math.min(highest, highest + Math.ceil(Math.log2(Math.min(1, scale * ratio)) - 1e-6)));
+    const factor = 2 ** (highest - z);
+    const span = TILE * factor;
+    const key = JSON.stringify(stretch);
+    if (pictures.current.key !== key) pictures.current = { key, map: new Map(), table: greys(stretch) };
+    const { map, table } = pictures.current;
+    const wanted = [];
+    for (let y = Math.max(0, Math.floor(top / span)); y * span < Math.min(height, top + box.height / scale); y += 1) {
+      for (let x = Math.max(0, Math.floor(left / span)); x * span < Math.min(width, left + box.width / scale); x += 1) wanted.push([x, y]);
+    }
+    if (wanted.length > MOST_TILES) return;
+    await Promise.all(wanted.map(async ([x, y]) => {
+      const name = `${z}/${x}/${y}`;
+      if (map.has(name)) return;
+      const tile = await tiles.get(z, x, y);
+      if (tile) map.set(name, drawn(tile, table, tiles.blank));
+    })).catch((error) => onError?.(error));
+    const ctx = element.getContext("2d");
+    ctx.setTransform(1, 0, 0, 1, 0, 0);
+    ctx.fillStyle = "#000";
+    ctx.fillRect(0, 0, element.width, element.height);
+    ctx.imageSmoothingEnabled = scale * factor < 1;
+    for (const [x, y] of wanted) {
+      const picture = map.get(`${z}/${x}/${y}`);
+      if (picture) ctx.drawImage(picture, (x * span - left) * scale * ratio, (y * span - top) * scale * ratio, picture.width * factor * scale * ratio, picture.height * factor * scale * ratio);
+    }
+    element.dataset.painted = String(wanted.length);
+  };
+  const repaint = () => {
+    if (busy.current) return;
+    busy.current = true;
+    requestAnimationFrame(async () => {
+      busy.current = false;
+      await paint();
+    });
+  };
+  useEffect(() => {
+    view.current.scale = { fit: 0, "1": 1, "4": 4 }[zoom] ?? 0;
+    if (zoom === "fit") Object.assign(view.current, { cx: width / 2, cy: height / 2 });
+    repaint();
+  }, [zoom, tiles, JSON.stringify(stretch)]);
+  useEffect(() => {
+    const observer = new ResizeObserver(repaint);
+    observer.observe(place.current);
+    return () => observer.disconnect();
+  }, []);
+
+  const at = (event) => {
+    const box = canvas.current.getBoundingClientRect();
+    const now = frameOfView.peek();
+    return [now.x + (event.clientX - box.left) / now.scale, now.y + (event.clientY - box.top) / now.scale];
+  };
+  const read = async (x, y) => {
+    const [px, py] = [Math.floor(x), Math.floor(y)];
+    if (px < 0 || py < 0 || px >= width || py >= height) { under.value = null; return; }
+    under.value = { px, py, sky: skyOf(wcs, px, py), counts: under.peek()?.counts };
+    const tile = await tiles.get(tiles.highest ?? 0, Math.floor(px / TILE), Math.floor(py / TILE)).catch(() => null);
+    if (tile && under.peek()?.px === px && under.peek()?.py === py) under.value = { ...under.peek(), counts: tiles.counts(tile.values[(py % TILE) * tile.width + (px % TILE)]) };
+  };
+  const drag = useRef(null);
+  const handlers = {
+    onPointerDown: (event) => { drag.current = { x: event.clientX, y: event.clientY, cx: view.current.cx, cy: view.current.cy }; event.currentTarget.setPointerCapture?.(event.pointerId); },
+    onPointerMove: (event) => {
+      if (drag.current) {
+        const { scale } = frameOfView.peek();
+        view.current.cx = drag.current.cx - (event.clientX - drag.current.x) / scale;
+        view.current.cy = drag.current.cy - (event.clientY - drag.current.y) / scale;
+        repaint();
+      }
+      read(...at(event));
+    },
+    onPointerUp: () => { drag.current = null; },
+    onWheel: (event) => {
+      event.preventDefault();
+      const [x, y] = at(event);
+      const before = frameOfView.peek().scale;
+      const after = Math.min(16, Math.max(before * 2 ** (-event.deltaY / 300), Math.min(frameOfView.peek().w / width, frameOfView.peek().h / height)));
+      Object.assign(view.current, { scale: after, cx: x - ((x - view.current.cx) * before) / after, cy: y - ((y - view.current.cy) * before) / after });
+      repaint();
+    },
+    onKeyDown: (event) => {
+      const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+      if (!step) return;
+      event.preventDefault();
+      const { scale, w, h } = frameOfView.peek();
+      view.current.cx += (step[0] * w) / 8 / scale;
+      view.current.cy += (step[1] * h) / 8 / scale;
+      repaint();
+      read(view.current.cx, view.current.cy);
+    },
+  };
+  const now = frameOfView.value;
+  const mark = target && pixelOf(wcs, target[0], target[1]);
+  const shown = under.value;
+  return html`<div class="viewer live" ref=${place} tabindex="0" role="img" aria-label="The frame; drag or arrow keys move it, the wheel zooms" data-testid="viewer" ...${handlers}><canvas ref=${canvas}></canvas>
+    <svg viewBox=${`${now.x} ${now.y} ${now.w / now.scale} ${now.h / now.scale}`} preserveAspectRatio="none" aria-hidden="true">${layers.has("grid") && wcs && grid(wcs, width, height).map((d, i) => html`<path key=${i} class="wcs" d=${d} vector-effect="non-scaling-stroke" />`)}
+      ${layers.has("target") && mark && html`<circle class="tgt" cx=${mark[0]} cy=${mark[1]} r=${18 / now.scale} vector-effect="non-scaling-stroke" />`}</svg>
+    <div class="hud" data-testid="readout">${shown ? html`<b>x ${shown.px + 1}  y ${shown.py + 1}</b><span>${Number.isFinite(shown.counts) ? `${number(shown.counts, 0)} ADU` : "—"}</span>${shown.sky && html`<span>${rightAscension(shown.sky[0])} ${declination(shown.sky[1])}</span>`}` : html`<span>point at a pixel</span>`}</div></div>`;
+}

@@ -1,0 +1,125 @@
+// Every page of the table of pages, on a recorded bus: it opens in three themes and two widths, breaks no rule of the browser, asks nobody
+// else, fits a phone, and can be used by those who do not see well.
+import { test, before, after } from "node:test";
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { TEST, everyAddress, launch, newPage, problemsOf, settled, startRecorded } from "./browser.js";
+
+const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const THEMES = ["dark", "light", "night"];
+const WIDTHS = [[1280, 900], [390, 844]];
+let bus, browser, page, problems;
+
+before(async () => {
+  bus = await startRecorded();
+  browser = await launch();
+  page = await newPage(browser, { reducedMotion: "reduce" });
+  problems = problemsOf(page);
+  await page.goto(bus.url);
+  await page.locator('[data-telescope="demo/alpha"][data-quality="fresh"]').waitFor();
+}, TEST);
+
+after(async () => {
+  await browser?.close();
+  await bus?.end();
+}, TEST);
+
+const choose = (theme) => page.evaluate((name) => document.querySelector(`[data-set-theme="${name}"]`).click(), theme);
+
+/** Serious findings of axe-core, one line each. */
+async function findings(only) {
+  if (!(await page.evaluate(() => "axe" in window))) await page.evaluate(axe);
+  return page.evaluate(async (rules) => {
+    const { violations } = await window.axe.run(document, { resultTypes: ["violations"], ...(rules && { runOnly: { type: "rule", values: rules } }) });
+    return violations.filter(({ impact }) => ["serious", "critical"].includes(impact)).flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.html.slice(0, 160)} ${node.any[0]?.message ?? ""}`));
+  }, only);
+}
+
+/** Parts that are wider than a phone although nothing around them scrolls. */
+const tooWide = () => page.evaluate(() => {
+  const { scrollWidth, clientWidth } = document.documentElement;
+  if (scrollWidth <= clientWidth) return null;
+  const wide = [...document.querySelectorAll("main *")].filter((one) => one.getBoundingClientRect().right > clientWidth + 1 && !one.closest(".tw, .sites, .tabs, .scroll, .log"));
+  return `${scrollWidth} px of ${clientWidth}: ${wide.slice(0, 5).map((one) => `${one.tagName}.${one.getAttribute("class")}`).join(" ")}`;
+});
+
+test("every page opens in three themes at two widths, fits, and has no serious finding of axe-core", TEST, async (context) => {
+  const found = [];
+  for (const address of await everyAddress(page)) {
+    await context.test(address, TEST, async () => {
+      await page.setViewportSize({ width: 1280, height: 900 });
+      await page.goto(bus.url + address);
+      await settled(page);
+      assert.equal(await page.locator("[data-broken]").count(), 0, "a part cannot be drawn");
+      assert.equal(await page.locator("main h1").count(), 1, "one title");
+      for (const [width, height] of WIDTHS) {
+        await page.setViewportSize({ width, height });
+        for (const theme of THEMES) {
+          await choose(theme);
+          const where = `${address} ${width} ${theme}`;
+          found.push(...(await findings(theme === "dark" ? null : ["color-contrast"])).map((one) => `${where}: ${one}`));
+          const wide = await tooWide();
+          if (wide) found.push(`${where}: sideways scroll, ${wide}`);
+        }
+      }
+    });
+  }
+  assert.deepEqual(found, []);
+  assert.deepEqual(problems, []);
+});
+
+test("a theme is kept, and the key t goes through all", TEST, async () => {
+  await page.goto(`${bus.url}/t/demo/alpha`);
+  await settled(page);
+  const theme = () => page.evaluate(() => document.documentElement.dataset.theme);
+  await choose("night");
+  await page.reload();
+  await settled(page);
+  assert.equal(await theme(), "night");
+  const seen = [];
+  for (let i = 0; i < 3; i += 1) {
+    await page.keyboard.press("t");
+    seen.push(await theme());
+  }
+  assert.deepEqual(seen, ["light", "dark", "night"]);
+});
+
+test("in the night theme no part of the page has green or blue", TEST, async () => {
+  for (const address of ["/", "/t/demo/alpha", "/t/demo/alpha/weather", "/t/demo/alpha/guiding"]) {
+    await page.goto(bus.url + address);
+    await settled(page);
+    await choose("night");
+    const shot = await page.screenshot();
+    const other = await page.evaluate(async (data) => {
+      const image = await createImageBitmap(new Blob([Uint8Array.from(atob(data), (c) => c.charCodeAt(0))]));
+      const canvas = new OffscreenCanvas(image.width, image.height);
+      const context = canvas.getContext("2d");
+      context.drawImage(image, 0, 0);
+      const { data: pixels } = context.getImageData(0, 0, image.width, image.height);
+      let count = 0;
+      for (let i = 0; i < pixels.length; i += 4) count += pixels[i + 1] > 12 || pixels[i + 2] > 12;
+      return count;
+    }, shot.toString("base64"));
+    assert.equal(other, 0, address);
+  }
+});
+
+test("the key / goes to the filter, and a chart is read by arrow keys", TEST, async () => {
+  await page.goto(bus.url);
+  await settled(page);
+  await page.keyboard.press("/");
+  assert.equal(await page.evaluate(() => document.activeElement.type), "search");
+  await page.keyboard.type("no such telescope");
+  await page.waitForFunction(() => document.querySelectorAll('[data-testid="row"]').length === 0);
+  await page.goto(`${bus.url}/t/demo/alpha/weather`);
+  await settled(page);
+  const chart = page.locator("[data-testid="chart"]").first();
+  await chart.focus();
+  const readings = new Set();
+  for (let i = 0; i < 3; i += 1) {
+    await page.keyboard.press("ArrowLeft");
+    readings.add(await chart.locator(".read").first().textContent());
+  }
+  assert.equal(readings.size, 3, `the values under the cursor change: ${[...readings].join(" | ")}`);
+});
