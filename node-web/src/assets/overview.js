@@ -8,8 +8,8 @@ export function standing(summary) {
   const age = summary.age_s === null ? null : summary.age_s + (performance.now() - summary.received) / 1000;
   const judged = age === null ? "never" : quality(age, 1);
   const fresh = judged === "fresh";
-  // its nodes were stopped in good order: that they are silent concerns nobody, unless something is open
-  const stopped = !fresh && summary.stopped && summary.stopped.closed !== false;
+  // its nodes were stopped in good order: that they are silent concerns nobody where all was verified closed
+  const stopped = !fresh && summary.stopped?.closed === true;
   const worth = stopped ? "stopped" : judged;
   const concern = fresh ? summary.concern : store.link === "live" && age !== null && worth === "lost" ? summary.concern ?? 1 : null;
   return {
