@@ -19,6 +19,6 @@ send_when_observatory_silent_s = 20.0   # then the archive node sends in the pla
 # name = \"night\"
 # to = [\"ana@example.org\"]
 # [[alerts.webhook]]
-# name = \"phone\"
-# url = \"https://ntfy.sh/a-topic-that-nobody-guesses\"
+# name = \"chat\"
+# url = \"https://chat.example.org/hooks/abc\"  # gets a POST of JSON, whose field text is for people
 ";

@@ -216,7 +216,10 @@ impl Look {
 
     fn addresses(&mut self, config: &Observatory) {
         self.listens("web.listen", config.web.listen);
-        for (index, endpoint) in config.bus.listen.iter().enumerate() {
+        // The nodes of all files of a host share that one.
+        let own =
+            config.bus.listen.iter().enumerate().filter(|(_, endpoint)| *endpoint != config::endpoints::THIS_HOST);
+        for (index, endpoint) in own {
             if let Some(address) = endpoint.strip_prefix("tcp/").and_then(|address| address.parse().ok()) {
                 self.listens(&format!("bus.listen[{index}]"), address);
             }

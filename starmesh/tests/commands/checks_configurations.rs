@@ -130,6 +130,15 @@ fn a_good_file_is_valid_and_one_without_a_monitor_is_warned_of() {
         "{}",
         output.out
     );
+    // A schedule may come later, unless the file names it; also under its usual name.
+    fs::write(&file, format!("{GOOD}[web]\nlisten = \"{free}\"\n[schedule]\nfile = \"schedule.jsonl\"\n")).unwrap();
+    let output = starmesh(["check", &file.display().to_string()]);
+    let warned = "warning: schedule.file: there is no file";
+    assert!(output.success && output.out.contains(warned), "{}{}", output.out, output.err);
+    fs::write(folder.path().join("schedule.jsonl"), "").unwrap();
+    let output = starmesh(["check", &file.display().to_string()]);
+    assert!(!output.out.contains(warned), "{}{}", output.out, output.err);
+    fs::remove_file(folder.path().join("schedule.jsonl")).unwrap();
     let cut = GOOD.find("[[safetymonitor]]").unwrap();
     // As an editor on Windows saves it.
     fs::write(&file, format!("\u{feff}{}", GOOD[..cut].replace('\n', "\r\n"))).unwrap();
