@@ -3,7 +3,7 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpListener;
 
 use super::*;
-use crate::can;
+use crate::{Abilities, value};
 
 /// A server that answers request after request with the result of `answer` for its text and its transaction id.
 async fn server(mut answer: impl FnMut(&str, u32) -> String + Send + 'static) -> String {
@@ -96,8 +96,40 @@ async fn a_capability_is_asked_again_when_its_answer_cannot_be_read() {
         spoilt -= 1;
         if spoilt >= 0 { "{\"Value\":tr".to_owned() } else { envelope(&json!(true), i64::from(id)) }
     });
-    let mount = device(&address.await, Kind::Telescope);
-    assert_eq!(can(&mount, "canpark").await, Ok(true));
+    let mut mount = Abilities::of(device(&address.await, Kind::Telescope));
+    assert_eq!(mount.can("CanPark").await, Ok(true));
+    assert!(mount.unread().is_empty());
     let foreign = server(|_, id| envelope(&json!(false), i64::from(id) + 1)).await;
-    assert!(can(&device(&foreign, Kind::Telescope), "canpark").await.unwrap_err().is_foreign());
+    let mut foreign = Abilities::of(device(&foreign, Kind::Telescope));
+    assert!(foreign.can("CanPark").await.unwrap_err().is_foreign());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_a_denial_is_no_and_what_was_answered_is_not_asked_again() {
+    let asked = std::sync::Arc::new(std::sync::Mutex::new(Vec::<String>::new()));
+    let log = asked.clone();
+    let address = server(move |request, id| {
+        let member = request.split(['/', '?', ' ']).find(|part| part.starts_with("can") || part.starts_with("max"));
+        log.lock().unwrap().push(member.unwrap().to_owned());
+        let error =
+            |number: u32| json!({"ErrorNumber": number, "ErrorMessage": "x", "ClientTransactionID": id}).to_string();
+        match member.unwrap() {
+            "canpark" => error(0x500),
+            "cansync" => error(0x400),
+            "maxstep" => envelope(&json!("many"), i64::from(id)),
+            _ => envelope(&json!(false), i64::from(id)),
+        }
+    });
+    let mut abilities = Abilities::of(device(&address.await, Kind::Telescope));
+    for pass in 1..=2 {
+        assert_eq!(abilities.can("CanPark").await, Ok(true), "not known, so that the device decides");
+        assert_eq!(abilities.can("CanSync").await, Ok(false));
+        assert_eq!(abilities.can("CanSlewAsync").await, Ok(false));
+        assert!(abilities.read("MaxStep", value::whole).await.unwrap().is_err());
+        assert_eq!(abilities.unread().keys().collect::<Vec<_>>(), ["CanPark", "MaxStep"], "pass {pass}");
+        assert_eq!(abilities.unread()["CanPark"].0, "ascom 0x500: x");
+    }
+    let asked = asked.lock().unwrap();
+    let times = |member: &str| asked.iter().filter(|asked| *asked == member).count();
+    assert_eq!(["canpark", "cansync", "canslewasync", "maxstep"].map(times), [6, 1, 1, 6]);
 }

@@ -27,7 +27,7 @@ const ACTIVITY: [(i64, Activity); 6] = [
 /// Less free space than this and nothing is exposed any more: a frame that cannot be kept is a lie.
 const LEAST_FREE_BYTES: u64 = 500_000_000;
 
-/// A camera that was told to abort an exposure, and has not said otherwise, is free after so long, sky s.
+/// A camera that has taken the command to abort an exposure, and reports another state than idle, is free after so long, sky s.
 const ABORTED_S: f64 = 10.0;
 /// A cooler that was switched is given so long to report it, sky s.
 const COOLER_S: f64 = 3.0;

@@ -18,9 +18,9 @@ const FOR_A_WHILE: Duration = Duration::from_secs(30);
 pub(super) struct Contradiction(Option<Instant>);
 
 impl Contradiction {
-    /// Has the device said so for so long now?
-    fn stands(&mut self, is_said: bool, now: Instant, limit: Duration) -> bool {
-        self.0 = is_said.then(|| self.0.unwrap_or(now));
+    /// Is it seen, and has it been seen without a gap for so long?
+    fn stands(&mut self, is_seen: bool, now: Instant, limit: Duration) -> bool {
+        self.0 = is_seen.then(|| self.0.unwrap_or(now));
         self.0.is_some_and(|since| now.duration_since(since) >= limit)
     }
 }
@@ -30,15 +30,15 @@ impl<D: Driver> Loop<D> {
     pub(super) fn note_contradiction(&mut self) {
         let driver = &self.serve.driver;
         let command = self.running.as_ref().map(|running| &running.order.command);
-        let said = Some(driver.fields(&self.readings)).filter(|_| self.link == Link::Connected);
-        let said = said.and_then(|fields| driver.contradiction(command, &fields));
+        let seen = Some(driver.fields(&self.readings)).filter(|_| self.link == Link::Connected);
+        let seen = seen.and_then(|fields| driver.contradiction(command, &fields));
         let limit = machine_limit(self.serve.node.bus.clock(), FOR_A_WHILE);
-        let stands = self.contradiction.stands(said.is_some(), Instant::now(), limit);
+        let stands = self.contradiction.stands(seen.is_some(), Instant::now(), limit);
         let instance = format!("{}/{}", D::Kind::KIND, self.serve.device.name);
         let alerts = &self.serve.node.alerts;
-        match said {
-            Some(said) if stands => {
-                alerts.raise(AlertKind::DeviceContradicts, &instance, &format!("{instance}: {said}"))
+        match seen {
+            Some(seen) if stands => {
+                alerts.raise(AlertKind::DeviceContradicts, &instance, &format!("{instance}: {seen}"))
             }
             Some(_) => {}
             None => alerts.clear(AlertKind::DeviceContradicts, &instance),
@@ -53,7 +53,7 @@ mod tests {
     #[test]
     fn a_contradiction_stands_when_it_was_seen_without_a_gap_for_a_while() {
         let (mut contradiction, start) = (Contradiction::default(), Instant::now());
-        let mut at = |s: u64, is_said| contradiction.stands(is_said, start + Duration::from_secs(s), FOR_A_WHILE);
+        let mut at = |s: u64, is_seen| contradiction.stands(is_seen, start + Duration::from_secs(s), FOR_A_WHILE);
         assert!(!at(0, true) && !at(29, true) && at(30, true) && at(100, true));
         assert!(!at(101, false) && !at(102, true) && !at(131, true) && at(132, true));
     }

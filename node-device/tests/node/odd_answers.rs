@@ -1,4 +1,4 @@
-//! Devices that answer oddly: with an error once or always, a step beside, with a state that stays.
+//! Devices that answer oddly: with an error once or always, a step off, with a state that stays.
 
 use bus::Catch;
 use contract::device::DeviceDescription;
@@ -63,7 +63,7 @@ async fn a_focuser(answers: &[(&str, Value)]) -> Fake {
     hardware
 }
 
-/// Moves arrive at once, so many steps beside.
+/// Moves arrive at once, so many steps off.
 fn arrives(hardware: &Fake, off: i64) {
     hardware.on("move", move |fake, form| {
         let position = form.split('&').find_map(|pair| pair.strip_prefix("Position=")).unwrap().parse::<i64>().unwrap();
@@ -103,7 +103,7 @@ async fn a_capability_that_answers_with_an_error_is_unknown_named_and_asked_agai
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_focuser_without_a_last_position_moves_and_one_a_step_beside_has_arrived() {
+async fn a_focuser_without_a_last_position_moves_and_one_a_step_off_has_arrived() {
     let hardware = a_focuser(&[]).await;
     hardware.answer("maxstep", FakeAnswer::Error(0x400, "not implemented"));
     arrives(&hardware, -1);
@@ -130,7 +130,7 @@ async fn a_long_way_is_gone_in_moves_that_the_focuser_takes() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_are_done_and_announced_though_the_camera_says_that_it_downloads_for_ever() {
+async fn frames_are_done_and_announced_though_the_camera_reports_a_download_for_ever() {
     let hardware = a_camera().await;
     hardware.answer("camerastate", FakeAnswer::Value(json!(4)));
     let stage = Stage::start(&block("camera", "cam", &hardware, "")).await;

@@ -185,8 +185,8 @@ mod tests {
         for (set, sensor, runs, cools) in rows {
             assert_eq!(cools_already(&fields(set, sensor, runs), -20.0, 1.0), cools, "{set:?} {sensor:?} {runs:?}");
         }
-        let shown = cooler(&fields(Some(-20.0), Some(15.0), Some(false)));
-        assert_eq!(shown, "15.0 C, set point -20.0 C, CoolerOn is false");
+        let words = cooler(&fields(Some(-20.0), Some(15.0), Some(false)));
+        assert_eq!(words, "15.0 C, set point -20.0 C, CoolerOn is false");
     }
 
     #[test]

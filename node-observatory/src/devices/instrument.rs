@@ -230,36 +230,23 @@ impl<K: DeviceKind> Instrument<K> {
         let boot_id = self.newest().map(|received| received.sample.boot_id);
         let taken = self.clock().machine();
         let (mut seen, mut replaced) = (false, None);
-        let failed = |reason: String| {
-            let (device, verb) = (self.device.to_string(), verb.to_owned());
-            Some(Err(ActionError::Failed { device, verb, reason }))
-        };
         self.until(most, &format!("done with {verb}"), |received| {
             let state = &received.sample.body;
-            let mine = state.last_command.as_ref().filter(|last| last.id == *id);
-            seen |= mine.is_some();
-            match (mine.map(|last| &last.outcome), &state.last_command) {
-                // Its device node has seen the effect. What else the device is at, or says that it is, does not matter.
-                (Some(CommandOutcome::Done), _) => Some(Ok(state.clone())),
-                (Some(CommandOutcome::Failed { reason }), _) => failed(reason.clone()),
-                (Some(CommandOutcome::Running), _) => None,
-                // A new incarnation of the node knows nothing of it, whatever commands it got since.
-                (None, _) if boot_id.as_ref().is_some_and(|boot_id| received.sample.boot_id != *boot_id) => {
-                    (!state.busy).then(|| Err(ActionError::Restarted { device: self.device.to_string() }))
+            let is_newest = state.last_command.as_ref().is_some_and(|last| last.id == *id);
+            seen |= is_newest;
+            let is_restarted = boot_id.as_ref().is_some_and(|boot_id| received.sample.boot_id != *boot_id);
+            // A state that is surely newer than the command.
+            let is_newer = seen || received.arrived >= taken.plus(SETTLED);
+            let replaced_for = (!is_newest && is_newer && state.last_command.is_some())
+                .then(|| received.arrived.since(*replaced.get_or_insert(received.arrived)));
+            let device = self.device.to_string();
+            match sight(state, id, is_restarted, replaced_for) {
+                CommandSight::Done => Some(Ok(state.clone())),
+                CommandSight::Failed(reason) => {
+                    Some(Err(ActionError::Failed { device, verb: verb.to_owned(), reason }))
                 }
-                // A later command of another node, such as the archive's release of a frame, has replaced ours:
-                // that nothing moves is then all that can be seen, once the state is surely newer than ours.
-                (None, Some(last)) if seen || received.arrived >= taken.plus(SETTLED) => {
-                    let since = *replaced.get_or_insert(received.arrived);
-                    match state.busy {
-                        false => Some(Ok(state.clone())),
-                        true if received.arrived >= since.plus(RESTS) => {
-                            failed(format!("{} took its place, and the device does not come to rest", last.verb))
-                        }
-                        true => None,
-                    }
-                }
-                _ => None,
+                CommandSight::Restarted => Some(Err(ActionError::Restarted { device })),
+                CommandSight::UnderWay => None,
             }
         })
         .await?
@@ -317,11 +304,104 @@ impl<K: DeviceKind> Instrument<K> {
     }
 }
 
+/// How far a command is, by a state of its device.
+#[derive(Debug, PartialEq)]
+enum CommandSight {
+    UnderWay,
+    Done,
+    Failed(String),
+    Restarted,
+}
+
+/// How far a command is. `is_restarted`: the state is of another incarnation of the device node than the one that took it.
+/// `replaced_for`: so long states have named another command as the newest.
+fn sight<F>(
+    state: &DeviceState<F>,
+    id: &CommandId,
+    is_restarted: bool,
+    replaced_for: Option<Duration>,
+) -> CommandSight {
+    let last = state.last_command.as_ref();
+    match last.filter(|last| last.id == *id).map(|last| &last.outcome) {
+        // Its device node has seen the effect. What else the device is at, or says that it is, does not matter.
+        Some(CommandOutcome::Done) => return CommandSight::Done,
+        Some(CommandOutcome::Failed { reason }) => return CommandSight::Failed(reason.clone()),
+        Some(CommandOutcome::Running) => return CommandSight::UnderWay,
+        None => {}
+    }
+    if is_restarted {
+        // A new incarnation of the node knows nothing of it, whatever commands it got since.
+        return if state.busy { CommandSight::UnderWay } else { CommandSight::Restarted };
+    }
+    // A later command of another node has replaced ours: that nothing moves is then all that can be seen.
+    match (replaced_for, last) {
+        (Some(_), _) if !state.busy => CommandSight::Done,
+        (Some(since), Some(last)) if since >= RESTS => {
+            CommandSight::Failed(format!("{} took its place, and the device does not come to rest", last.verb))
+        }
+        _ => CommandSight::UnderWay,
+    }
+}
+
 /// The name of a command in JSON.
 fn verb<C: Payload>(command: &C) -> String {
     match serde_json::to_value(command) {
         Ok(serde_json::Value::String(word)) => word,
         Ok(serde_json::Value::Object(map)) => map.keys().next().cloned().unwrap_or_default(),
         _ => "follow a command".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::LastCommand;
+    use units::Utc;
+
+    use super::*;
+
+    fn state(busy: bool, last: Option<(&str, CommandOutcome)>) -> DeviceState<()> {
+        let last = last.map(|(id, outcome)| LastCommand {
+            id: CommandId(id.to_owned()),
+            from: "observatory/alpha/main".to_owned(),
+            verb: "slew".to_owned(),
+            taken_utc: Utc::EPOCH,
+            outcome,
+            answer: None,
+        });
+        let readings = Default::default();
+        DeviceState {
+            link: Link::Connected,
+            busy,
+            period_s: 1.0,
+            poll_s: None,
+            last_command: last,
+            fields: (),
+            readings,
+        }
+    }
+
+    #[test]
+    fn a_command_is_done_by_what_its_device_node_reports_of_it_and_not_by_a_device_that_rests() {
+        use CommandOutcome::{Done, Failed, Running};
+        let long = Some(RESTS);
+        let short = Some(Duration::from_secs(1));
+        let failed = || Failed { reason: "stuck".to_owned() };
+        let replaced = || CommandSight::Failed("slew took its place, and the device does not come to rest".to_owned());
+        let rows = [
+            // A flag of the device that stays, such as that of a guide pulse.
+            (state(true, Some(("mine", Done))), false, None, CommandSight::Done),
+            (state(false, Some(("mine", Running))), false, None, CommandSight::UnderWay),
+            (state(true, Some(("mine", failed()))), false, None, CommandSight::Failed("stuck".to_owned())),
+            (state(true, None), true, None, CommandSight::UnderWay),
+            (state(false, None), true, None, CommandSight::Restarted),
+            (state(false, Some(("later", Running))), false, None, CommandSight::UnderWay),
+            (state(false, Some(("later", Done))), false, short, CommandSight::Done),
+            (state(true, Some(("later", Done))), false, short, CommandSight::UnderWay),
+            (state(true, Some(("later", Done))), false, long, replaced()),
+        ];
+        for (state, is_restarted, replaced_for, expected) in rows {
+            let found = sight(&state, &CommandId("mine".to_owned()), is_restarted, replaced_for);
+            assert_eq!(found, expected, "{state:?}");
+        }
     }
 }

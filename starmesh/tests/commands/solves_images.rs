@@ -279,7 +279,7 @@ fn a_frame_without_a_focus_position_is_named() {
 
 #[test]
 fn a_hint_that_cannot_be_is_passed_over_and_the_other_keywords_solve_the_frame() {
-    // The same frame: beside good keywords a WCS of defaults, and zeros for the place and the scale.
+    // The same frame: next to good keywords a WCS of defaults, and zeros for the place and the scale.
     for name in ["f06_dummy_wcs", "f15_ra_dec_zero_placeholders"] {
         let file = stars().with_file_name("hints").join(format!("{name}.fits.gz"));
         let output = starmesh(["solve".into(), "--json".into(), file]);

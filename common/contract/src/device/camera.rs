@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_says_nothing_of_its_exposures_or_nonsense_takes_any() {
+    fn a_camera_that_reports_nothing_of_its_exposures_or_nonsense_takes_any() {
         for odd in [
             camera(None, None, None),
             camera(Some(f64::NAN), Some(0.0), Some(0.0)),
