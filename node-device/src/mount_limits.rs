@@ -17,7 +17,7 @@ use units::Angle;
 
 use self::stopping::{Says, Stopping};
 use crate::mount_motion::{Coordinates, Motion, TURN_DEG_PER_S, pair};
-use crate::mount_sight::{MountSight, Ordered, Seen, asked_since};
+use crate::mount_sight::{MountSight, Ordered, ReadAt, asked_since};
 use crate::now::Now;
 
 /// Tracking is stopped so long before a limit is reached: two polls and a slow answer.
@@ -246,7 +246,7 @@ impl LimitWatch {
 
     /// It says that it slews, and has not moved against the stars for long.
     fn is_still(&mut self, sight: &MountSight, asked: Now) -> bool {
-        let place: Seen<[f64; 2]> = pair(sight.ra_deg, sight.dec_deg, MachineTime::from_boot(Duration::ZERO));
+        let place: ReadAt<[f64; 2]> = pair(sight.ra_deg, sight.dec_deg, MachineTime::from_boot(Duration::ZERO));
         let Some(([ra, dec], _)) = place else { return false };
         let near = |[ra0, dec0]: [f64; 2]| (ra - ra0).abs() < 0.02 && (dec - dec0).abs() < 0.02;
         match self.still {

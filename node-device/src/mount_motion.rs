@@ -6,7 +6,7 @@ use bus::MachineTime;
 use sky::{Icrs, separation};
 use units::Angle;
 
-use crate::mount_sight::{MountSight, Seen, asked_since};
+use crate::mount_sight::{MountSight, ReadAt, asked_since};
 use crate::now::Now;
 
 /// The sky turns by so much in a second, degrees.
@@ -36,7 +36,7 @@ pub enum Motion {
 struct Pairs(VecDeque<([f64; 2], Now)>);
 
 impl Pairs {
-    fn note(&mut self, pair: Seen<[f64; 2]>, since: MachineTime) {
+    fn note(&mut self, pair: ReadAt<[f64; 2]>, since: MachineTime) {
         self.0.retain(|(_, asked)| asked.machine >= since);
         let Some((pair, asked)) = pair else { return };
         if self.0.back().is_some_and(|(_, last)| last.machine >= asked.machine) {
@@ -104,7 +104,7 @@ impl Coordinates {
 }
 
 /// Both coordinates, as old as the older one.
-pub fn pair(a: Seen<f64>, b: Seen<f64>, since: MachineTime) -> Seen<[f64; 2]> {
+pub fn pair(a: ReadAt<f64>, b: ReadAt<f64>, since: MachineTime) -> ReadAt<[f64; 2]> {
     let ((a, a_asked), (b, b_asked)) = asked_since(a, since).zip(asked_since(b, since))?;
     Some(([a, b], if a_asked.machine < b_asked.machine { a_asked } else { b_asked }))
 }

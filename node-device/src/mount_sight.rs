@@ -9,7 +9,7 @@ use crate::now::Now;
 use crate::readings::Readings;
 
 /// A value with the moment at which it was asked for; none where it is not known.
-pub type Seen<T> = Option<(T, Now)>;
+pub type ReadAt<T> = Option<(T, Now)>;
 
 /// What this node ordered last of what moves a mount or stops it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,21 +26,21 @@ pub enum Ordered {
 #[derive(Debug, Clone, Copy, Default)]
 pub struct MountSight {
     /// Right ascension in the mount's frame, degrees.
-    pub ra_deg: Seen<f64>,
+    pub ra_deg: ReadAt<f64>,
     /// Declination, degrees.
-    pub dec_deg: Seen<f64>,
+    pub dec_deg: ReadAt<f64>,
     /// Altitude as the mount reports it, degrees.
-    pub altitude_deg: Seen<f64>,
+    pub altitude_deg: ReadAt<f64>,
     /// Azimuth, degrees.
-    pub azimuth_deg: Seen<f64>,
+    pub azimuth_deg: ReadAt<f64>,
     /// It says that it follows the sky.
-    pub tracking: Seen<bool>,
+    pub tracking: ReadAt<bool>,
     /// It says that it moves to a target.
-    pub slewing: Seen<bool>,
+    pub slewing: ReadAt<bool>,
     /// It says that it is parked.
-    pub at_park: Seen<bool>,
+    pub at_park: ReadAt<bool>,
     /// Side of the pier, where it reports one.
-    pub pier_side: Seen<PierSide>,
+    pub pier_side: ReadAt<PierSide>,
     /// The newest order to the mount, and when it was given or, later, answered.
     pub ordered: Option<(Ordered, MachineTime)>,
 }
@@ -48,7 +48,7 @@ pub struct MountSight {
 impl MountSight {
     /// By the newest readings.
     pub fn of(readings: &Readings, fields: Fields, ordered: Option<(Ordered, MachineTime)>) -> Self {
-        fn seen<T: Copy>(readings: &Readings, value: Datum<T>, property: &str) -> Seen<T> {
+        fn seen<T: Copy>(readings: &Readings, value: Datum<T>, property: &str) -> ReadAt<T> {
             value.known().copied().zip(readings.asked(property))
         }
         let pier_side = seen(readings, fields.pier_side, "SideOfPier");
@@ -67,6 +67,6 @@ impl MountSight {
 }
 
 /// A value, unless it was asked for before `since`.
-pub fn asked_since<T: Copy>(seen: Seen<T>, since: MachineTime) -> Seen<T> {
+pub fn asked_since<T: Copy>(seen: ReadAt<T>, since: MachineTime) -> ReadAt<T> {
     seen.filter(|(_, asked)| asked.machine >= since)
 }
