@@ -142,7 +142,7 @@ export function Dialog({ label, close, children }) {
   const element = useRef(null);
   useEffect(() => {
     const dialog = element.current;
-    const before = document.activeElement;
+    const before = /** @type {HTMLElement} */ (document.activeElement);
     dialog.showModal();
     (dialog.querySelector("[data-first]") ?? dialog).focus();
     return () => {
@@ -159,7 +159,7 @@ export const Segment = ({ label, options, value, onChange, cls = "" }) => html`<
   html`<button key=${option} type="button" aria-pressed=${String(option === value)} onClick=${() => onChange(option)}>${word}</button>`)}</span>`;
 
 /** A table that may scroll sideways. `columns`: `{ key, name, num, sort(row), cls }`; `cells(row)` gives the `<td>`s. */
-export function Table({ label, columns, rows, cells, keyOf, rowProps = () => ({}), cls = "", sorted = null }) {
+export function Table({ label, columns, rows, cells, keyOf, rowProps = (_) => ({}), cls = "", sorted = null }) {
   const order = useSignal(sorted ?? { key: null, up: true });
   const by = columns.find((column) => column.key === order.value.key);
   const shown = by?.sort ? [...rows].sort((a, b) => compare(by.sort(a), by.sort(b)) * (order.value.up ? 1 : -1)) : rows;

@@ -55,13 +55,13 @@ function Rail() {
 }
 
 function NextTheme() {
-  const next = () => document.querySelector(`[data-set-theme="${{ dark: "night", night: "light", light: "dark" }[document.documentElement.dataset.theme] ?? "night"}"]`)?.click();
+  const next = () => /** @type {HTMLElement} */ (document.querySelector(`[data-set-theme="${{ dark: "night", night: "light", light: "dark" }[document.documentElement.dataset.theme] ?? "night"}"]`))?.click();
   useEffect(() => {
     const press = (event) => {
       if (/input|textarea|select/i.test(event.target.tagName) || event.metaKey || event.ctrlKey || event.altKey) return;
       if (event.key === "t") next();
       if (event.key === "/") {
-        const found = document.querySelector("input[type=search]");
+        const found = /** @type {HTMLElement} */ (document.querySelector("input[type=search]"));
         if (found) {
           event.preventDefault();
           found.focus();

@@ -46,7 +46,7 @@ function Tile({ summary }) {
   const now = standing(summary);
   const [what, sub] = activity(summary, now);
   const level = urgency(summary, now);
-  const image = !navigator.connection?.saveData && arrived(summary);
+  const image = !(/** @type {any} */ (navigator).connection?.saveData) && arrived(summary);
   const top = summary.alerts?.[0];
   const figures = summary.figures ?? {};
   const worth = now.fresh ? "fresh" : now.worth;
@@ -63,7 +63,10 @@ function Tile({ summary }) {
       <${CloseButton} id=${summary.id} filled=${level === 1} sm /></div></article>`;
 }
 
-/** Name, field, unit, scale, decimals, property of the limit. */
+/**
+ * Name, field, unit, scale, decimals, property of the limit.
+ * @type {[string, string, string, number, number, number, string][]}
+ */
 const WEATHER = [["Wind", "wind_mps", "m/s", 0, 25, 1, "WindSpeed"], ["Humidity", "humidity_percent", "%", 0, 100, 0, "Humidity"], ["Sky − air", null, "°C", -50, 5, 0, "RelativeSkyTemp"], ["Rain", "rain_mm_per_h", "mm/h", 0, 5, 1, "RainRate"]];
 
 /** A site: its weather now, and when it can be safe. Stations belong to the site (`shared`) or to one of its telescopes. */
