@@ -114,7 +114,7 @@ test("the key / goes to the filter, and a chart is read by arrow keys", TEST, as
   await page.waitForFunction(() => document.querySelectorAll('[data-testid="row"]').length === 0);
   await page.goto(`${bus.url}/t/demo/alpha/weather`);
   await settled(page);
-  const chart = page.locator("[data-testid="chart"]").first();
+  const chart = page.locator('[data-testid="chart"]').first();
   await chart.focus();
   const readings = new Set();
   for (let i = 0; i < 3; i += 1) {
