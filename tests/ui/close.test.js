@@ -75,6 +75,8 @@ test("an order towards the sky is held to its end; let go before, it sends nothi
   await page.locator('[data-order="start"] button').click();
   const hold = page.locator("dialog .hold");
   await page.locator("dialog input[name=reason]").fill("the sky is clear");
+  // From here the page's time goes on only when it is told to.
+  await page.clock.pauseAt((await page.evaluate(() => Date.now())) + 2000);
   await hold.dispatchEvent("pointerdown");
   await page.clock.runFor(1400);
   await hold.dispatchEvent("pointerup");
