@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use bus::{MachineTime, Received};
 use contract::node::DiaryLine;
+use contract::observatory::FrameFacts;
 use contract::{Address, CommandId, Key, NodeTopic, Stamped};
 use interlock::Succession;
 use schemars::JsonSchema;
@@ -174,6 +175,12 @@ impl Telescope {
     pub fn read<T: serde::de::DeserializeOwned>(&self, key: &Key) -> Option<(&Entry, T)> {
         let entry = self.states.get(&short(key))?;
         Some((entry, T::deserialize(entry.body.as_ref()).ok()?))
+    }
+
+    /// The facts of the newest measured frame; `None` where none came or they cannot be read.
+    pub fn facts(&self, address: &Address) -> Option<(&Entry, FrameFacts)> {
+        let entry = self.states.get(&newest_facts(address))?;
+        Some((entry, FrameFacts::deserialize(entry.body.as_ref()).ok()?))
     }
 }
 
@@ -354,9 +361,13 @@ impl Telescope {
 /// A key without its root; the facts of all frames share one, because only the newest are shown.
 pub fn short(key: &Key) -> String {
     match key {
-        Key::Facts(address, _) => format!("{address}/observatory/frame/facts"),
+        Key::Facts(address, _) => newest_facts(address),
         _ => key.path(),
     }
+}
+
+fn newest_facts(address: &Address) -> String {
+    format!("{address}/observatory/frame/facts")
 }
 
 #[cfg(test)]

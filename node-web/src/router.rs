@@ -13,7 +13,7 @@ use crate::authentication::{Authentication, authenticate};
 use crate::gate::{Gate, guard};
 use crate::plain_errors::plain_errors_are_problems;
 use crate::problem::{Code, Problem};
-use crate::routes::page;
+use crate::routes::{lite, page};
 use crate::server::Server;
 
 /// The longest body of a request: a schedule.
@@ -26,6 +26,7 @@ pub fn router(server: Arc<Server>, gate: Gate, authentication: Authentication) -
         .merge(pages)
         .route("/t/{site}/{telescope}", get(page::index))
         .route("/t/{site}/{telescope}/{*page}", get(page::index))
+        .route("/lite", get(lite::lite))
         .route("/assets/{*name}", get(page::asset))
         .route("/favicon.ico", get(page::favicon))
         .merge(api::router())

@@ -9,9 +9,9 @@ use bus::MachineTime;
 use contract::device::camera::Frame;
 use contract::node::{NodeState, Stopped};
 use contract::observatory::{
-    ActionNow, Alert, FrameFacts, GuidingState, NightState, Posture, RowStatus, SafetyState, ScheduleState, Unsafe, Verdict,
+    ActionNow, Alert, GuidingState, NightState, Posture, RowStatus, SafetyState, ScheduleState, Unsafe, Verdict,
 };
-use contract::{Address, Chunk, CommandId, Key, NodeTopic, Part, Role};
+use contract::{Address, Chunk, Key, NodeTopic, Part, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 use units::Utc;
@@ -349,8 +349,7 @@ fn stopped_telescope(telescope: &Telescope) -> Option<StoppedTelescope> {
 
 /// Pixels become arcsec by the scale of the newest solved frame of the same camera.
 fn figures(address: &Address, telescope: &Telescope, now: MachineTime) -> Figures {
-    let facts = telescope.read::<FrameFacts>(&Key::Facts(address.clone(), CommandId(String::new())));
-    let Some((_, facts)) = facts.filter(|(entry, _)| entry.age(now) < FACTS_OF_NOW) else {
+    let Some((_, facts)) = telescope.facts(address).filter(|(entry, _)| entry.age(now) < FACTS_OF_NOW) else {
         return Figures::default();
     };
     let arcsec = |px: Option<f64>| Some(px? * facts.scale_arcsec_px?).filter(|arcsec| arcsec.is_finite());

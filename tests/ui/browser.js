@@ -26,6 +26,9 @@ export const launch = () =>
 export async function newPage(browser, options = {}) {
   const page = await browser.newPage(options);
   page.setDefaultTimeout(LIMIT);
+  // For writing the page: its files as they are now, without building the program.
+  const assets = join(root, "node-web/src/assets");
+  if (process.env.UI_FROM_DISK) await page.route(/\/assets\//, (route) => route.fulfill({ path: join(assets, new URL(route.request().url()).pathname.slice("/assets/".length)) }));
   return page;
 }
 

@@ -5,7 +5,7 @@ import { execFileSync } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { TEST, binary, configure, end, launch, newPage, startWebNode } from "./browser.js";
+import { TEST, binary, configure, end, launch, newPage, problemsOf, startWebNode } from "./browser.js";
 
 const PASSWORD = "four plain words here";
 let node, browser, url, folder, file;
@@ -26,26 +26,25 @@ after(async () => {
 
 test("a person logs in, sees the page, and logs out", TEST, async () => {
   const page = await newPage(browser);
-  const broken = [];
-  page.on("console", (message) => message.type() === "error" && /Content Security Policy/.test(message.text()) && broken.push(message.text()));
+  const problems = problemsOf(page);
   await page.goto(`${url}/t/paranal/io`);
   await page.locator("#name").fill("ana");
   await page.locator("#password").fill("not the password");
   await page.locator("#login button").click();
   await page.locator("#answer", { hasText: "The name or the password is wrong." }).waitFor();
-  assert.equal(await page.locator("#user").count(), 0, "nothing of the page is there yet");
+  assert.equal(await page.locator(".rail").count(), 0, "nothing of the page is there yet");
   await page.locator("#password").fill(PASSWORD);
   await page.locator("#password").press("Enter");
-  await page.locator("#user", { hasText: "ana" }).waitFor();
+  await page.locator(".rail .me", { hasText: "ana" }).waitFor();
   await page.locator('body[data-link="live"]').waitFor();
   assert.equal(new URL(page.url()).pathname, "/t/paranal/io", "the page that was asked for");
   assert.equal(await page.evaluate(() => document.cookie), "", "no script sees the session");
-  await page.locator("#user button").click();
+  await page.locator(".rail .me button").click();
   await page.locator("#login").waitFor();
   // longer than a page may be without drawing itself: the login page is not called broken
   await page.waitForTimeout(7000);
   assert.equal(await page.locator("#login button").isVisible(), true);
-  assert.deepEqual(broken, []);
+  assert.deepEqual(problems.filter((one) => !/Failed to load resource/.test(one)), []);
   await page.close();
 });
 

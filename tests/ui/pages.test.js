@@ -4,6 +4,7 @@ import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
+import { network } from "./recorded/network.js";
 import { TEST, everyAddress, launch, newPage, problemsOf, settled, startRecorded } from "./browser.js";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
@@ -13,11 +14,13 @@ let bus, browser, page, problems;
 
 before(async () => {
   bus = await startRecorded();
+  await network(bus);
   browser = await launch();
   page = await newPage(browser, { reducedMotion: "reduce" });
   problems = problemsOf(page);
   await page.goto(bus.url);
   await page.locator('[data-telescope="demo/alpha"][data-quality="fresh"]').waitFor();
+  await page.locator('[data-telescope="ridge/delta"][data-level="p1"]').waitFor();
 }, TEST);
 
 after(async () => {
@@ -114,7 +117,7 @@ test("the key / goes to the filter, and a chart is read by arrow keys", TEST, as
   await page.waitForFunction(() => document.querySelectorAll('[data-testid="row"]').length === 0);
   await page.goto(`${bus.url}/t/demo/alpha/weather`);
   await settled(page);
-  const chart = page.locator("[data-testid="chart"]").first();
+  const chart = page.locator('[data-testid="chart"]').first();
   await chart.focus();
   const readings = new Set();
   for (let i = 0; i < 3; i += 1) {

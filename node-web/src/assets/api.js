@@ -55,7 +55,11 @@ export function useGet(path, everyS = 0) {
   return { ...state.value, again: run };
 }
 
-/** Gives a command; the answer is the command as a resource. Its key makes a repeated request act once. */
+/**
+ * Gives a command; the answer is the command as a resource. Its key makes a repeated request act once.
+ * @param {string} telescope @param {string} name
+ * @param {{ reason?: string, operator?: string, waitS?: number, [parameter: string]: unknown }} [options]
+ */
 export function command(telescope, name, { reason = "", operator, waitS = 0, ...parameters } = {}) {
   return ask(`/api/v1/telescopes/${telescope}/commands`, {
     method: "POST",

@@ -3,6 +3,8 @@ import { html, useEffect, useRef, useSignal } from "./lib.js";
 import { clock, hourMinute, number } from "./format.js";
 import uPlot from "./vendor/uplot.js";
 
+/** @type {any} */
+const Plot = uPlot;
 const LEFT = 56;
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const SERIES = ["--s1", "--s2", "--s3", "--s4"];
@@ -176,7 +178,7 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, onZoom, label 
     const make = () => {
       plots.current.forEach((plot) => plot.destroy());
       const width = Math.max(200, element.clientWidth);
-      plots.current = panels.map((panel, i) => new uPlot(options({ height: 120, ...panel }, shared, width, i === panels.length - 1, moved), columns(panel.series), element.querySelectorAll(".plot")[i]));
+      plots.current = panels.map((panel, i) => new Plot(options({ height: 120, ...panel }, shared, width, i === panels.length - 1, moved), columns(panel.series), element.querySelectorAll(".plot")[i]));
     };
     make();
     let width = element.clientWidth;

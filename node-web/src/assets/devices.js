@@ -36,7 +36,7 @@ export function devicesOf(states) {
     const lost = entry.body?.link?.is === "lost";
     return { key, site, telescope, kind, name, entry, body: entry.body ?? {}, fields: entry.body?.fields ?? {}, age, worth: lost ? "lost" : quality(age, entry.period_s), lost, about: states.get(key.replace(/state$/, "capabilities"))?.body,
       icon: KINDS[kind]?.icon ?? "plug" };
-  }).sort((a, b) => (a.telescope === "shared") - (b.telescope === "shared") || order.indexOf(a.kind) - order.indexOf(b.kind) || a.name.localeCompare(b.name));
+  }).sort((a, b) => Number(a.telescope === "shared") - Number(b.telescope === "shared") || order.indexOf(a.kind) - order.indexOf(b.kind) || a.name.localeCompare(b.name));
 }
 
 /** Its state in words. */

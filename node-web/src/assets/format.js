@@ -50,6 +50,7 @@ function sexagesimal(value, decimals, wrap = Infinity) {
   return `${two(Math.floor(parts / (3600 * unit)))} ${two(Math.floor(parts / (60 * unit)) % 60)} ${seconds}`;
 }
 
+/** @type {[string, string, number][]} */
 const UNITS = [
   ["_mag_per_arcsec2", " mag/arcsec²", 2], ["_mm_per_h", " mm/h", 1], ["_arcsec", "″", 2], ["_percent", " %", 0],
   ["_hpa", " hPa", 0], ["_lux", " lx", 4], ["_mps", " m/s", 1], ["_deg_per_s", "°/s", 4], ["_deg", "°", 1], ["_bytes", "", 0], ["_px", " px", 1],

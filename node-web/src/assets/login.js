@@ -1,5 +1,5 @@
 // Logs in by the API, and then loads the page that was asked for.
-const form = document.getElementById("login");
+const form = /** @type {any} */ (document.getElementById("login"));
 const answer = document.getElementById("answer");
 
 form.addEventListener("submit", async (event) => {

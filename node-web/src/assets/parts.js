@@ -119,11 +119,19 @@ export function Loaded({ of, what, children }) {
   return html`<p class="m">Reading ${what} …</p>`;
 }
 
-/** A part that cannot be drawn says so in its place; the others are not concerned. */
+const AGAIN_MS = 2500;
+
+/** A part that cannot be drawn says so in its place, and tries again with what comes next; the others are not concerned. */
 export class Guard extends Component {
   constructor(props) {
     super(props);
     this.state = { error: null };
+    this.failed = 0;
+    this.told = "";
+  }
+
+  componentWillReceiveProps() {
+    if (this.state.error && performance.now() - this.failed > AGAIN_MS) this.setState({ error: null });
   }
 
   static getDerivedStateFromError(error) {
@@ -131,13 +139,15 @@ export class Guard extends Component {
   }
 
   componentDidCatch(error) {
-    console.warn(`${this.props.name} cannot be drawn`, error);
+    this.failed = performance.now();
+    if (this.told !== String(error)) console.warn(`${this.props.name} cannot be drawn`, error);
+    this.told = String(error);
   }
 
   render({ name, children }, { error }) {
     if (!error) return children;
-    return html`<div class="empty hatch" role="alert" data-broken=${name}><${Icon} name="warn" /><b>${name}: this part cannot be shown</b>
-      <span>${String(error?.message ?? error).slice(0, 200)}. What it showed before is not relied on here. <button class="btn sm soft" onClick=${() => this.setState({ error: null })}>Try again</button></span></div>`;
+    return html`<div class="empty hatch" data-broken=${name}><${Icon} name="warn" /><b>${name}: this part cannot be shown</b>
+      <span>${String(error?.message ?? error).slice(0, 200)}. It is tried again with what comes next.</span></div>`;
   }
 }
 
@@ -146,7 +156,7 @@ export function Dialog({ label, close, children }) {
   const element = useRef(null);
   useEffect(() => {
     const dialog = element.current;
-    const before = document.activeElement;
+    const before = /** @type {HTMLElement} */ (document.activeElement);
     dialog.showModal();
     (dialog.querySelector("[data-first]") ?? dialog).focus();
     return () => {
@@ -163,7 +173,7 @@ export const Segment = ({ label, options, value, onChange, cls = "" }) => html`<
   html`<button key=${option} type="button" aria-pressed=${String(option === value)} onClick=${() => onChange(option)}>${word}</button>`)}</span>`;
 
 /** A table that may scroll sideways. `columns`: `{ key, name, num, sort(row), cls }`; `cells(row)` gives the `<td>`s. */
-export function Table({ label, columns, rows, cells, keyOf, rowProps = () => ({}), cls = "", sorted = null }) {
+export function Table({ label, columns, rows, cells, keyOf, rowProps = (_) => ({}), cls = "", sorted = null }) {
   const order = useSignal(sorted ?? { key: null, up: true });
   const by = columns.find((column) => column.key === order.value.key);
   const shown = by?.sort ? [...rows].sort((a, b) => compare(by.sort(a), by.sort(b)) * (order.value.up ? 1 : -1)) : rows;

@@ -21,7 +21,7 @@ export function go(href, { replace = false } = {}) {
   route.value = read();
   if (!replace && (before.page !== route.value.page || before.id !== route.value.id)) {
     scrollTo(0, 0);
-    document.querySelector("main h1")?.focus({ preventScroll: true });
+    /** @type {HTMLElement} */ (document.querySelector("main h1"))?.focus({ preventScroll: true });
   }
 }
 
@@ -40,7 +40,7 @@ export function withQuery(changes) {
 export function follow() {
   addEventListener("popstate", () => { route.value = read(); });
   document.addEventListener("click", (event) => {
-    const link = event.target.closest?.("a[href]");
+    const link = /** @type {any} */ (event.target).closest?.("a[href]");
     if (!link || event.button !== 0 || event.metaKey || event.ctrlKey || event.shiftKey || event.altKey || link.target || link.download) return;
     if (link.origin !== location.origin || link.getAttribute("href").startsWith("#") || /^\/(api|assets|metrics|lite)/.test(link.pathname)) return;
     event.preventDefault();

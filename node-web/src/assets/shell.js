@@ -22,12 +22,15 @@ export function bySite(summaries = [...net.value.values()]) {
   return sites;
 }
 
+/** An input of the verdict in words: `weather/WindSpeed` is "wind speed". */
+export const inputWords = (input) => String(input).split("/").pop().replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase();
+
 /** One word on what a telescope does. */
 export function doing(summary, now) {
   if (now.never) return "silent";
   if (!now.fresh) return now.worth;
   if (summary.activity?.length) return { object: "observing", cool_camera: "cooling", autofocus: "focus", calibration: "darks" }[summary.activity[0].action] ?? String(summary.activity[0].action).replaceAll("_", " ");
-  if (now.safety !== "safe") return summary.safety?.reasons?.[0]?.input?.split("/").pop() ?? "unsafe";
+  if (now.safety !== "safe") return inputWords(summary.safety?.reasons?.[0]?.input ?? "unsafe");
   return summary.ended ? "night over" : "waiting";
 }
 
@@ -55,13 +58,13 @@ function Rail() {
 }
 
 function NextTheme() {
-  const next = () => document.querySelector(`[data-set-theme="${{ dark: "night", night: "light", light: "dark" }[document.documentElement.dataset.theme] ?? "night"}"]`)?.click();
+  const next = () => /** @type {HTMLElement} */ (document.querySelector(`[data-set-theme="${{ dark: "night", night: "light", light: "dark" }[document.documentElement.dataset.theme] ?? "night"}"]`))?.click();
   useEffect(() => {
     const press = (event) => {
       if (/input|textarea|select/i.test(event.target.tagName) || event.metaKey || event.ctrlKey || event.altKey) return;
       if (event.key === "t") next();
       if (event.key === "/") {
-        const found = document.querySelector("input[type=search]");
+        const found = /** @type {HTMLElement} */ (document.querySelector("input[type=search]"));
         if (found) {
           event.preventDefault();
           found.focus();

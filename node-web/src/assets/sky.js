@@ -5,6 +5,8 @@ import { number } from "./format.js";
 
 const [S, R] = [360, 150];
 const C = S / 2;
+/** @type {[string, number, number][]} */
+const NAMES = [["N", 0, -R - 9], ["S", 0, R + 19], ["E", -R - 16, 4], ["W", R + 18, 4]];
 const rad = Math.PI / 180;
 const place = ({ alt, az }) => { const r = ((90 - alt) / 90) * R; return [C - r * Math.sin(az * rad), C - r * Math.cos(az * rad)]; };
 
@@ -24,6 +26,6 @@ export function SkyMap({ mount, dome, targets = [], site, now }) {
     ${targets.map((target) => { const at = altaz(target, now, site); if (at.alt < 0) return null; const [tx, ty] = place(at); return html`<g key=${target.name}><path class="ln s4" d=${`M${tx - 4} ${ty}h8M${tx} ${ty - 4}v8`} /><text x=${tx + 8} y=${ty + 4}>${target.name}</text></g>`; })}
     ${moonAt.alt > 0 && (() => { const [mx, my] = place(moonAt); return html`<circle class="lim" cx=${mx} cy=${my} r=${(30 / 90) * R} /><circle class="moon" cx=${mx} cy=${my} r="7" /><text x=${mx} y=${my + 20} text-anchor="middle">Moon</text>`; })()}
     ${here && html`<g class="aim"><circle cx=${x} cy=${y} r="8" /><path d=${`M${x - 14} ${y}h6M${x + 8} ${y}h6M${x} ${y - 14}v6M${x} ${y + 8}v6`} /></g>`}
-    ${[["N", 0, -R - 9], ["S", 0, R + 19], ["E", -R - 16, 4], ["W", R + 18, 4]].map(([name, dx, dy]) => html`<text key=${name} x=${C + dx} y=${C + dy} text-anchor="middle" class=${name === "N" ? "h" : ""}>${name}</text>`)}</svg>
+    ${NAMES.map(([name, dx, dy]) => html`<text key=${name} x=${C + dx} y=${C + dy} text-anchor="middle" class=${name === "N" ? "h" : ""}>${name}</text>`)}</svg>
     <div class="read row between"><span>Alt <b>${here ? `${number(here.alt)}°` : "—"}</b></span><span>Az <b>${here ? `${number(here.az)}°` : "—"}</b></span><span>Moon <b>${away === null ? "—" : `${number(away, 0)}°`}</b> away, ${number(100 * luna.lit, 0)} %</span><span>LST <b>${String(Math.floor(sidereal)).padStart(2, "0")}:${String(Math.floor((sidereal % 1) * 60)).padStart(2, "0")}</b></span></div></div>`;
 }

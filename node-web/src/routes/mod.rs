@@ -5,6 +5,7 @@ pub mod health;
 pub mod heartbeat;
 pub mod history;
 pub mod legacy;
+pub mod lite;
 pub mod login;
 pub mod metrics;
 pub mod network;

@@ -31,7 +31,7 @@ async fn the_page_is_served_whole_and_only_under_our_own_names() {
     assert_eq!(foreign.status().as_u16(), 421);
     let named = stage.http.get(&stage.url).header("host", "localhost:1234").send().await.unwrap();
     assert!(named.status().is_success());
-    for path in ["/api/v1/nothing", "/assets/../Cargo.toml", "/t/A/b/c", "/api/v1/telescopes/paranal/europa"] {
+    for path in ["/api/v1/nothing", "/assets/../Cargo.toml", "/t/paranal", "/api/v1/telescopes/paranal/europa"] {
         let (status, problem) = stage.get(path).await;
         assert_eq!((status.as_u16(), &problem["status"]), (404, &json!(404)), "{path}");
     }

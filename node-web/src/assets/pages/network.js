@@ -4,7 +4,7 @@ import { CloseButton } from "../close.js";
 import { clock, duration, hourMinute, number } from "../format.js";
 import { arrived, Picture } from "../image.js";
 import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segment, Stat, Table, Words, postureIcon, standing, urgency } from "../parts.js";
-import { alarm, bySite, doing } from "../shell.js";
+import { alarm, bySite, doing, inputWords } from "../shell.js";
 import { ageOf, link, net, quality, skyNow, skySpeed, tick, useTopic } from "../store.js";
 import { devicesOf, known } from "../devices.js";
 import { limitsOf } from "./weather.js";
@@ -17,20 +17,21 @@ export function activity(summary, now) {
   const [first, ...more] = summary.activity ?? [];
   if (first) return [`${sentence(first.action)} ${first.object ?? ""}`.trim(), [first.step, more.length && `and ${more.length} more`].filter(Boolean).join(", ")];
   const { reasons = [], time_to_safe_s: wait } = summary.safety ?? {};
-  if (now.safety !== "safe" && reasons.length) return [`Waits for ${words(reasons[0].input)}`, `${reasons[0].why}${wait ? `. Opens in ${duration(wait)} at the earliest` : ""}.`];
+  if (now.safety !== "safe" && reasons.length) return [`Waits for ${inputWords(reasons[0].input)}`, `${reasons[0].why}${wait ? `. Opens in ${duration(wait)} at the earliest` : ""}.`];
   if (summary.ended) return ["Night finished", `${summary.frames} frames.`];
   const next = summary.schedule?.next;
   if (!next) return ["Nothing to do", "The schedule has no further row."];
   return [`Waits for ${next} at ${hourMinute(summary.schedule.next_utc)}`, summary.mode === "robotic" ? "" : `It is ${summary.mode}: the row does not start by itself.`];
 }
 const sentence = (word) => { const plain = String(word).replaceAll("_", " "); return { object: "Observing" }[word] ?? plain[0].toUpperCase() + plain.slice(1); };
-const words = (input) => String(input).split("/").pop().replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase();
 
 /** Does it need somebody, and how urgently? */
 const needs = (summary) => urgency(summary) <= 3;
 const isOpen = (summary) => ["open", "opening", "closing"].includes(standing(summary).posture);
 const rank = (summary) => { const now = standing(summary); return urgency(summary, now) * 10 + (now.fresh ? (summary.activity?.length ? 1 : 2) : 0); };
 
+/** Does it wait for an input of its verdict? */
+const closedFor = (summary) => { const now = standing(summary); return now.fresh && !summary.activity?.length && now.safety !== "safe"; };
 /** The network in one sentence: who needs somebody, and what the others do. */
 function Lede({ telescopes }) {
   const names = (list) => list.map((one) => one.telescope_id).join(", ");
@@ -38,7 +39,7 @@ function Lede({ telescopes }) {
   const later = telescopes.filter((one) => urgency(one) === 3);
   const rest = telescopes.filter((one) => urgency(one) > 3);
   const counts = new Map();
-  for (const one of rest) { const does = doing(one, standing(one)); counts.set(does, (counts.get(does) ?? 0) + 1); }
+  for (const one of rest) { const does = closedFor(one) ? `waiting for ${doing(one, standing(one))}` : doing(one, standing(one)); counts.set(does, (counts.get(does) ?? 0) + 1); }
   return html`<p class="lede grow" data-testid="lede">${now.length ? html`<b>${names(now)} ${now.length > 1 ? "need" : "needs"} you now.</b> ` : html`<b>Nothing needs you.</b> `}${later.length ? `${names(later)} ${later.length > 1 ? "need" : "needs"} you tonight. ` : ""}
     ${[...counts].map(([does, n]) => `${n} ${does}`).join(", ")}${counts.size ? "." : ""}</p>`;
 }
@@ -47,7 +48,7 @@ function Tile({ summary }) {
   const now = standing(summary);
   const [what, sub] = activity(summary, now);
   const level = urgency(summary, now);
-  const image = !navigator.connection?.saveData && arrived(summary);
+  const image = !(/** @type {any} */ (navigator).connection?.saveData) && arrived(summary);
   const top = summary.alerts?.[0];
   const figures = summary.figures ?? {};
   const worth = now.fresh ? "fresh" : now.worth;
@@ -59,12 +60,15 @@ function Tile({ summary }) {
     <div class=${`do ${image ? "" : "plain"}`}><div class="what">${what}</div><div class="sub">${top && level <= 3 ? top.cause : sub}</div>${image && html`<span class="thumb"><${Picture} image=${image} /></span>`}</div>
     <div class="stats"><${Stat} name="Guide" value=${figures.guide_rms_arcsec != null ? number(figures.guide_rms_arcsec, 2) : null} unit="″" worth=${worth} /><${Stat} name="FWHM" value=${figures.fwhm_arcsec != null ? number(figures.fwhm_arcsec, 2) : null} unit="″" worth=${worth} />
       <${Stat} name="Rows" value=${summary.schedule ? `${summary.schedule.finished}/${summary.schedule.rows}` : null} worth=${worth} /><${Stat} name="Frames" value=${summary.frames} worth=${worth} /></div>
-    ${summary.unreadable?.length > 0 && html`<p class="ink-p2" data-unreadable=${summary.unreadable.length}>◆ ${summary.unreadable.length} payloads cannot be read: ${summary.unreadable[0].key}</p>`}
+    ${summary.unreadable?.length > 0 && html`<p class="ink-p2" data-unreadable=${summary.unreadable.length}>◆ ${summary.unreadable.length} ${summary.unreadable.length > 1 ? "payloads" : "payload"} cannot be read: ${summary.unreadable[0].key}</p>`}
     <div class="tile-f"><${Age} s=${now.age} worth=${now.worth} after=" ago" />${summary.device_count?.lost > 0 && html`<span class="ink-p3">${summary.device_count.lost} of ${summary.device_count.known} devices silent</span>`}
       <${CloseButton} id=${summary.id} filled=${level === 1} sm /></div></article>`;
 }
 
-/** Name, field, unit, scale, decimals, property of the limit. */
+/**
+ * Name, field, unit, scale, decimals, property of the limit.
+ * @type {[string, string, string, number, number, number, string][]}
+ */
 const WEATHER = [["Wind", "wind_mps", "m/s", 0, 25, 1, "WindSpeed"], ["Humidity", "humidity_percent", "%", 0, 100, 0, "Humidity"], ["Sky − air", null, "°C", -50, 5, 0, "RelativeSkyTemp"], ["Rain", "rain_mm_per_h", "mm/h", 0, 5, 1, "RainRate"]];
 
 /** A site: its weather now, and when it can be safe. Stations belong to the site (`shared`) or to one of its telescopes. */

@@ -8,7 +8,10 @@ import { Age, Bullet, Card, Empty, Loaded, Segment, Table, Time, Words, standing
 import { bySite } from "../shell.js";
 import { ageOf, net, quality, skyNow, tick, useTopic } from "../store.js";
 
-/** Property of ObservingConditions, field of the state, name for people, unit, usual scale, decimals. */
+/**
+ * Property of ObservingConditions, field of the state, name for people, unit, usual scale, decimals.
+ * @type {[string, string, string, string, [number, number], number][]}
+ */
 export const PARAMETERS = [
   ["WindSpeed", "wind_mps", "Wind", "m/s", [0, 25], 1], ["WindGust", "gust_mps", "Gusts", "m/s", [0, 30], 1], ["Humidity", "humidity_percent", "Humidity", "%", [0, 100], 0],
   ["SkyTemperature", "sky_c", "Sky temperature", "°C", [-60, 20], 1], ["Temperature", "air_c", "Air", "°C", [-20, 40], 1], ["DewPoint", "dew_point_c", "Dew point", "°C", [-40, 30], 1],

@@ -1,0 +1,127 @@
+//! `/lite`: every telescope as plain HTML, for a browser without JavaScript, a text browser, or when the page is broken.
+
+use std::fmt::Write as _;
+use std::sync::Arc;
+
+use axum::Extension;
+use axum::extract::State;
+use axum::http::header;
+use axum::response::{IntoResponse as _, Response};
+use contract::observatory::{Alert, Posture};
+use users::Principal;
+
+use crate::routes::page;
+use crate::server::Server;
+use crate::summary::{Face, Mode, SafetyWord, Summary};
+
+/// The browser asks again after so long, s.
+const AGAIN_S: u32 = 15;
+
+/// The page of all telescopes that the caller may see; for somebody without any right, the login page.
+pub async fn lite(State(server): State<Arc<Server>>, Extension(caller): Extension<Principal>) -> Response {
+    if caller.right_anywhere().is_none() {
+        return page::login();
+    }
+    let summaries = server.network.summaries();
+    let may_see = |summary: &&Summary| {
+        let Face { site_id, telescope_id, .. } = &summary.face;
+        let address = contract::Address { site: site_id.clone(), telescope: telescope_id.clone() };
+        !summary.face.shared && caller.right_at(&address).is_some()
+    };
+    let text = html(summaries.iter().filter(may_see), &server.network.clock().utc().to_string());
+    let named = [(header::CONTENT_TYPE, page::HTML), (header::CACHE_CONTROL, "no-store")];
+    (named, text).into_response()
+}
+
+fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, now: &str) -> String {
+    let mut text = format!(
+        "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><meta http-equiv=\"refresh\" content=\"{AGAIN_S}\">\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><title>Starmesh, plain</title>\
+         <link rel=\"stylesheet\" href=\"/assets/starmesh.css\"><link rel=\"stylesheet\" href=\"/assets/live.css\">\
+         <link rel=\"icon\" href=\"/assets/favicon.svg\"></head><body class=\"document\"><main class=\"stack\"><h1>Telescopes</h1>\
+         <p>As of <b>{}</b>; asked again each {AGAIN_S} s. An older page is out of date. <a href=\"/\">The whole page</a></p>",
+        escaped(now)
+    );
+    let mut known = 0;
+    for summary in summaries {
+        known += 1;
+        telescope(&mut text, summary);
+    }
+    if known == 0 {
+        text.push_str("<p>No telescope on the bus yet.</p>");
+    }
+    text.push_str("<p>To close one: <code>starmesh order TELESCOPE close</code> on a host with its configuration.</p></main></body></html>");
+    text
+}
+
+fn telescope(text: &mut String, Summary { face, ages }: &Summary) {
+    let safety = match face.safety.state {
+        SafetyWord::Safe => "SAFE",
+        SafetyWord::Unsafe => "UNSAFE",
+        SafetyWord::Unknown => "SAFETY UNKNOWN",
+    };
+    let posture = match face.posture {
+        Posture::Closed => "CLOSED",
+        Posture::Opening => "OPENING",
+        Posture::Open => "OPEN",
+        Posture::Closing => "CLOSING",
+        Posture::Unknown => "DOME UNKNOWN",
+    };
+    let mode = match face.mode {
+        Mode::Robotic => ", robotic",
+        Mode::Manual => ", manual",
+        Mode::Unknown => "",
+    };
+    let age = ages.age_s.map_or("nothing received yet".to_owned(), |age| format!("{age:.0} s old"));
+    let simulated = if face.simulated { ", simulation" } else { "" };
+    let _ = write!(
+        text,
+        "<section class=\"card\"><h2>{}</h2><p><b>{safety}</b> <b>{posture}</b>{mode}{simulated}, {age}</p>",
+        escaped(&face.id)
+    );
+    for action in &face.activity {
+        let object = action.object.as_deref().unwrap_or_default();
+        let _ = write!(text, "<p>{} {}: {}</p>", escaped(&action.action), escaped(object), escaped(&action.step));
+    }
+    list(text, face.safety.reasons.iter().map(|reason| format!("{} {}", reason.input, reason.why)));
+    list(text, face.alerts.iter().map(told));
+    text.push_str("</section>");
+}
+
+fn told(alert: &Alert) -> String {
+    format!("{}: {} {} {}", alert.priority.word(), alert.cause, alert.consequence, alert.action)
+}
+
+fn list(text: &mut String, lines: impl Iterator<Item = String>) {
+    let items: String = lines.map(|line| format!("<li>{}</li>", escaped(&line))).collect();
+    if !items.is_empty() {
+        let _ = write!(text, "<ul>{items}</ul>");
+    }
+}
+
+/// Text from the bus is never markup.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use bus::Clock;
+    use serde_json::json;
+
+    use super::*;
+    use crate::model::tests::received;
+    use crate::network::Network;
+
+    #[test]
+    fn text_from_the_bus_is_never_markup_and_an_unknown_telescope_says_so() {
+        let network = Network::new(Clock::machine_clock(), "paranal/callisto".parse().unwrap());
+        let alert = json!({"alerts": [{"id": "a", "priority": "critical", "raised_utc": "2026-11-21T03:00:00Z",
+            "cause": "<img src=x onerror=\"a()\">", "consequence": "c", "action": "d"}]});
+        network.accept(received("paranal/callisto/observatory/alerts/state", "b1", 1, 0, alert));
+        let summaries = network.summaries();
+        let page = html(summaries.iter(), "now");
+        assert!(page.contains("SAFETY UNKNOWN") && page.contains("DOME UNKNOWN"), "{page}");
+        assert!(page.contains("CRITICAL: &lt;img") && !page.contains("<img"), "{page}");
+    }
+}

@@ -1,0 +1,90 @@
+// Closing is two touches away on every page of a telescope, and sends one order; a hold that is let go sends none.
+import { test, before, after, beforeEach } from "node:test";
+import assert from "node:assert/strict";
+import { LIMIT, TEST, launch, namesOf, newPage, settled, startRecorded } from "./browser.js";
+
+let bus, browser, page;
+
+before(async () => {
+  bus = await startRecorded();
+  browser = await launch();
+  page = await newPage(browser);
+  await page.goto(bus.url);
+  await page.locator('[data-telescope="demo/alpha"][data-quality="fresh"]').waitFor();
+}, TEST);
+
+after(async () => {
+  await browser?.close();
+  await bus?.end();
+}, TEST);
+
+beforeEach(() => bus.reset());
+
+/** Waits until the telescope was asked something, and gives all orders. */
+async function orders() {
+  for (const until = Date.now() + LIMIT; Date.now() < until;) {
+    const asked = await bus.orders();
+    if (asked.length) return asked;
+    await new Promise((resolve) => setTimeout(resolve, 100));
+  }
+  throw new Error("the telescope was asked nothing");
+}
+
+for (const [width, height] of [[1280, 900], [390, 844]]) {
+  test(`on every page of a telescope two touches close it, ${width} px wide`, TEST, async (context) => {
+    await page.setViewportSize({ width, height });
+    for (const name of (await namesOf(page)).telescope) {
+      await context.test(name, TEST, async () => {
+        await bus.reset();
+        await page.goto(`${bus.url}/t/demo/alpha${name === "now" ? "" : `/${name}`}`);
+        await settled(page);
+        const button = page.locator('[data-testid="close"]:visible').first();
+        const box = await button.boundingBox();
+        assert.ok(box.y >= 0 && box.y + box.height <= height, "it is in view without scrolling");
+        await button.click();
+        await page.locator('[data-testid="close-now"]').click();
+        const asked = await orders();
+        assert.deepEqual(asked.map((order) => [order.key, order.do]), [["demo/alpha/observatory/order", "close"]]);
+        await page.getByText("not yet verified closed").waitFor();
+      });
+    }
+  });
+}
+
+test("the dialog has its focus on Close, Enter closes, and Escape sends nothing and gives the focus back", TEST, async () => {
+  await page.setViewportSize({ width: 1280, height: 900 });
+  await page.goto(`${bus.url}/t/demo/alpha`);
+  await settled(page);
+  const button = page.locator('.scope [data-testid="close"]');
+  await button.focus();
+  await page.keyboard.press("Enter");
+  await page.locator('[data-testid="close-now"]:focus').waitFor();
+  await page.keyboard.press("Escape");
+  await page.locator("dialog").waitFor({ state: "detached" });
+  assert.equal(await button.evaluate((one) => one === document.activeElement), true, "the focus is where it was");
+  await page.keyboard.press("Enter");
+  await page.locator('[data-testid="close-now"]:focus').waitFor();
+  await page.keyboard.press("Enter");
+  assert.deepEqual((await orders()).map((order) => order.do), ["close"], "one order, of the second time");
+});
+
+test("an order towards the sky is held to its end; let go before, it sends nothing", TEST, async () => {
+  await page.clock.install();
+  await page.goto(`${bus.url}/t/demo/alpha/controls`);
+  await settled(page);
+  await page.locator('[data-order="start"] button').click();
+  const hold = page.locator("dialog .hold");
+  await page.locator("dialog input[name=reason]").fill("the sky is clear");
+  // From here the page's time goes on only when it is told to.
+  await page.clock.pauseAt((await page.evaluate(() => Date.now())) + 2000);
+  await hold.dispatchEvent("pointerdown");
+  await page.clock.runFor(1400);
+  await hold.dispatchEvent("pointerup");
+  await page.clock.runFor(5000);
+  assert.equal(await page.locator("dialog").count(), 1, "the dialog is still open");
+  assert.deepEqual(await bus.orders(), []);
+  await hold.dispatchEvent("pointerdown");
+  await page.clock.runFor(1600);
+  await page.locator("dialog").waitFor({ state: "detached" });
+  assert.equal((await orders()).length, 1);
+});

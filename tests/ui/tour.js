@@ -1,0 +1,36 @@
+// Makes the pictures of docs: `node tests/ui/tour.js`. From a recorded bus, so that they show the same night each time.
+import { mkdirSync } from "node:fs";
+import { join } from "node:path";
+import { launch, newPage, settled, startRecorded } from "./browser.js";
+import { network } from "./recorded/network.js";
+
+const docs = join(import.meta.dirname, "../../docs");
+const WIDE = { width: 1280, height: 860 };
+const PHONE = { width: 390, height: 844 };
+const id = "demo/alpha";
+/** File, address, size, theme. */
+const PICTURES = [
+  ["page.png", `/t/${id}`, { width: 1280, height: 1250 }, "dark"], ["screenshots/network.png", "/", { width: 1280, height: 1000 }, "dark"], ["screenshots/alerts.png", "/alerts", { width: 1280, height: 620 }, "light"],
+  ["screenshots/weather.png", "/t/ridge/gamma/weather", WIDE, "dark"], ["screenshots/guiding.png", `/t/${id}/guiding`, WIDE, "dark"], ["screenshots/controls.png", `/t/${id}/controls`, WIDE, "light"],
+  ["screenshots/report.png", `/t/${id}/report`, WIDE, "light"], ["screenshots/phone-network.png", "/", PHONE, "dark"], ["screenshots/phone-telescope.png", "/t/ridge/delta", PHONE, "dark"], ["screenshots/phone-night.png", `/t/${id}/weather`, PHONE, "night"],
+];
+
+const bus = await startRecorded();
+const browser = await launch();
+try {
+  await network(bus);
+  mkdirSync(join(docs, "screenshots"), { recursive: true });
+  const page = await newPage(browser, { reducedMotion: "reduce" });
+  for (const [file, address, size, theme] of PICTURES) {
+    await page.setViewportSize(size);
+    await page.goto(`${bus.url}${address}?theme=${theme}`);
+    await settled(page);
+    await page.waitForFunction(() => [...document.images].every((image) => image.loading === "lazy" || image.naturalWidth > 0) && document.fonts.status === "loaded");
+    if (address === "/") await page.locator('[data-testid="tile"][data-telescope="ridge/delta"][data-level="p1"]').waitFor();
+    await page.screenshot({ path: join(docs, file) });
+    console.log(`docs/${file}`);
+  }
+} finally {
+  await browser.close();
+  await bus.end();
+}
