@@ -21,6 +21,8 @@ mod left;
 mod night;
 mod order;
 mod plan;
+mod process;
+mod running;
 mod schedules;
 mod simulate;
 mod status;

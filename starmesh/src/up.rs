@@ -12,6 +12,7 @@ use tokio::task::JoinSet;
 
 use crate::bus_address;
 use crate::left::Left;
+use crate::running;
 use crate::supervise::NodeProcess;
 
 /// How often the command prints what it waits for.
@@ -48,6 +49,9 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let bus = Bus::open(&bus_address::of_supervisor(&config.bus), Clock::machine_clock()).await?;
     let mut arguments = options.node_arguments.clone();
     arguments.extend(bus_address::of_nodes(&config.bus, &bus).await);
+    let here = bus_address::on_this_host(&bus).await;
+    let folder = options.file.parent().unwrap_or(std::path::Path::new("."));
+    let _running = here.map(|here| running::announce("up", &config.address(), &here, folder));
     let node = |role, id: &str| NodeProcess {
         role,
         id: id.to_owned(),

@@ -30,8 +30,8 @@ after(async () => {
 const summary = (telescope, change = {}) => ({
   id: `paranal/${telescope}`, site_id: "paranal", telescope_id: telescope, shared: false, quality: "fresh",
   safety: { state: "safe", since_utc: "2026-11-22T03:00:00Z", reasons: [], suspended: [], advisories: [] },
-  posture: "open", mode: "robotic", simulated: false, speed: 1, ended: false, activity: [], frames: 3, alerts: [],
-  alert_counts: { p1: 0, p2: 0, p3: 0, p4: 0 }, device_count: { known: 1, lost: 0 }, node_count: { known: 4, lost: 0 },
+  posture: "open", posture_by: "observatory", now: "waits for a schedule", mode: "robotic", simulated: false, speed: 1, ended: false, activity: [], frames: 3, alerts: [],
+  alert_counts: { critical: 0, high: 0, medium: 0, advisory: 0 }, device_count: { known: 1, lost: 0 }, node_count: { known: 4, lost: 0 },
   age_s: 0.1, image_age_s: null, reported_utc: "2026-11-22T03:00:00Z", ...change,
 });
 const says = (op, more) => JSON.stringify({ op, at_utc: new Date().toISOString(), data: { speed: 1 }, ...more });
@@ -61,7 +61,7 @@ async function beatUntil(done, limit = 10_000) {
 }
 
 test("a tile that cannot be drawn is red and says so, and the others go on", { timeout: 60_000 }, async () => {
-  socket.send(net("delta", summary("io", { alerts: null, alert_counts: { p1: 0, p2: 0, p3: 0, p4: 0 } })));
+  socket.send(net("delta", summary("io", { alerts: null, alert_counts: { critical: 0, high: 0, medium: 0, advisory: 0 } })));
   await page.locator('[data-broken="io"]').waitFor({ timeout: 5000 });
   assert.equal(await page.locator('[data-telescope="paranal/io"]').count(), 0, "its old word is gone");
   assert.equal(await page.locator('[data-telescope="paranal/europa"][data-safety="safe"]').count(), 1);

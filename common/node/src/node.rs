@@ -43,7 +43,7 @@ pub struct Node {
 impl Node {
     /// A node around a bus that is open already.
     pub fn new(role: Role, id: Name, config: Observatory, header: HeaderTable, bus: Bus) -> Self {
-        let alerts = NodeAlerts::new(bus.clock().clone());
+        let alerts = NodeAlerts::new(bus.clock().clone()).of(config.address());
         Self {
             config: Arc::new(config),
             header: Arc::new(header),

@@ -91,6 +91,7 @@ pub async fn keep_observing(
         if runner.tools.authority.objection(None).is_none() {
             runner.skip_passed();
             while runner.start_next() {}
+            runner.forget_gone_causes();
             runner.log_end();
         } else {
             runner.farewell = Farewell::NotYet;
@@ -203,6 +204,18 @@ impl Runner {
         let (context, techniques) = (RowContext::new(self.tools.clone(), row, number), self.techniques.clone());
         self.at_work.spawn(async move { (context.row.id.clone(), run_row(&context, &techniques, withdrawal).await) });
         true
+    }
+
+    /// Takes the reason of an interruption from the rows that nothing stands against any more.
+    fn forget_gone_causes(&self) {
+        let machine = self.tools.authority.node.bus.clock().machine();
+        let each = self.sequence.rows().iter().zip(self.sequence.statuses()).enumerate();
+        for (index, (row, status)) in each {
+            let waits = *status == RowStatus::Interrupted && !self.rests.rests(&row.id, machine);
+            if waits && self.tools.authority.objection(Some(row)).is_none() {
+                self.tools.night.at(number(index), |row| row.detail.clear());
+            }
+        }
     }
 
     fn note_end(&mut self, id: &RowId, end: RowEnd) {

@@ -15,12 +15,12 @@ function shown() {
 }
 
 function total() {
-  const sum = { p1: 0, p2: 0, p3: 0, p4: 0 };
+  const sum = { critical: 0, high: 0, medium: 0, advisory: 0 };
   for (const summary of store.net.values()) {
     for (const priority in sum) sum[priority] += summary.alert_counts?.[priority] ?? 0;
     // a telescope whose two words are alarming counts, alert or no alert
     const { concern } = standing(summary);
-    if (concern) sum[`p${concern}`] = (sum[`p${concern}`] ?? 0) + 1;
+    if (concern) sum[concern] = (sum[concern] ?? 0) + 1;
   }
   return sum;
 }
@@ -33,7 +33,7 @@ function draw() {
   const sums = total();
   document.body.dataset.link = store.link;
   const summary = address && store.net.get(address);
-  const urgent = sums.p1 ? ` (P1 × ${sums.p1})` : "";
+  const urgent = sums.critical ? ` (critical × ${sums.critical})` : "";
   const sky = skyNow();
   show(at("where"), address && [" › ", address.replace("/", " › ")]);
   show(at("clock"), sky ? `UTC ${lost ? "?" : clock(sky)}` : "", store.sky && store.sky.speed !== 1 && h("span", { class: "word sim" }, ` × ${store.sky.speed}`));

@@ -41,7 +41,7 @@ const ORDER = Object.keys(KINDS);
 
 function linkWord(state) {
   const link = state.link?.is ?? "unknown";
-  if (link === "lost") return h("span", { class: "tag p2" }, `◆ no link`);
+  if (link === "lost") return h("span", { class: "tag high" }, `◆ no link`);
   if (link === "connecting") return h("span", { class: "muted" }, "connecting");
   return h("span", {}, state.busy ? "busy" : "ready");
 }

@@ -1,6 +1,6 @@
 // The network: one tile per telescope, the ones that need someone first.
 import { guarded, h } from "./dom.js";
-import { clock, duration, hourMinute, PRIORITY } from "./format.js";
+import { clock, duration, PRIORITY } from "./format.js";
 import { quality, store, touch } from "./link.js";
 
 /** How a summary stands now: its worth and age, judged here too, because words stop coming when the link is lost. */
@@ -8,13 +8,15 @@ export function standing(summary) {
   const age = summary.age_s === null ? null : summary.age_s + (performance.now() - summary.received) / 1000;
   const worth = age === null ? "never" : quality(age, 1);
   const fresh = worth === "fresh";
-  const concern = fresh ? summary.concern : store.link === "live" && age !== null && worth === "lost" ? summary.concern ?? 1 : null;
+  const isOfDomes = store.link === "live" && summary.posture_by === "domes";
+  const concern = fresh || isOfDomes ? summary.concern : store.link === "live" && age !== null && worth === "lost" ? summary.concern ?? "critical" : null;
   return {
     age,
     worth,
     concern: concern ?? null,
     safety: fresh ? summary.safety?.state ?? "unknown" : "unknown",
-    posture: fresh ? summary.posture : "unknown",
+    // while the observatory node is silent the server goes by the domes' own device nodes
+    posture: fresh || isOfDomes ? summary.posture : "unknown",
     mode: fresh ? summary.mode : "unknown",
     fresh,
   };
@@ -22,10 +24,9 @@ export function standing(summary) {
 
 /** Counts of standing alerts, each with its shape; nothing when there are none. */
 export function alertCounts(counts) {
-  const shown = Object.keys(PRIORITY).map((priority, i) => [PRIORITY[priority], counts[`p${i + 1}`]]).filter(([, n]) => n > 0);
+  const shown = Object.keys(PRIORITY).map((priority) => [priority, counts[priority]]).filter(([, n]) => n > 0);
   if (!shown.length) return h("span", { class: "muted" }, "no alerts");
-  return shown.map(([[shape, label, word], n]) =>
-    h("span", { class: `tag ${label.toLowerCase()}`, title: word }, `${shape} ${label} × ${n}`));
+  return shown.map(([priority, n]) => h("span", { class: `tag ${priority}` }, `${PRIORITY[priority]} ${priority} × ${n}`));
 }
 
 /** An age that ticks, with the word for what it is worth. */
@@ -69,29 +70,21 @@ export function picture(image, size) {
   return h("div", { class: `sky ${size}`, key: "sky" }, h("img", { "data-frame": image.frame, alt: what, width, height, src: image.src }));
 }
 
-/** One sentence on what is done. */
-export function activity(summary, fresh) {
-  if (!fresh) return "";
-  if (summary.activity.length) return summary.activity.map((a) => [a.action, a.object, a.step && `– ${a.step}`].filter(Boolean).join(" ")).join("; ");
-  if (summary.ended) return "the night is over";
-  const next = summary.schedule?.next;
-  if (!next) return "nothing under way";
-  const row = `${next} from ${hourMinute(summary.schedule.next_utc)}`;
-  return summary.mode === "robotic" ? `waiting: ${row}` : `not robotic: ${row} will not start by itself`;
-}
+/** What is done now, or the present reason why nothing is: the words of the server, which `starmesh status` prints too. */
+export const activity = (summary, now) => (now.fresh || store.link === "live" ? summary.now : "");
 
 /** Says that some of what is sent for a telescope cannot be read, so that what stands here of it is older. */
 export function unreadable(summary) {
   const found = summary.unreadable ?? [];
   if (!found.length) return null;
-  return h("p", { key: "unreadable", class: "why", "data-unreadable": found.length }, h("span", { class: "tag p2" }, `◆ ${found.length} not readable`),
+  return h("p", { key: "unreadable", class: "why", "data-unreadable": found.length }, h("span", { class: "tag high" }, `◆ ${found.length} not readable`),
     ` ${found[0].key}: ${found[0].why}`, found.length > 1 && ` (and ${found.length - 1} more)`);
 }
 
 function tile(summary) {
   const now = standing(summary);
   const top = summary.alerts[0];
-  const concern = now.concern ? ` p${now.concern}` : "";
+  const concern = now.concern ? ` ${now.concern}` : "";
   return h("a", {
     key: summary.id, class: `tile ${now.worth}${concern}`, href: `/t/${summary.id}`, "data-go": true, "data-telescope": summary.id,
     "data-safety": now.safety, "data-posture": now.posture, "data-mode": now.mode, "data-quality": now.worth,
@@ -99,28 +92,35 @@ function tile(summary) {
     h("div", { class: "tile-head" }, h("h3", {}, summary.telescope_id),
       h("span", { class: "modes" }, summary.simulated && h("span", { class: "word sim" }, "SIMULATION"), h("span", { class: "word" }, now.mode === "unknown" ? "" : now.mode.toUpperCase()))),
     h("p", { class: "words" }, words(now)),
-    h("p", { class: "doing" }, now.worth === "never" ? "no observatory node has published yet" : activity(summary, now.fresh)),
+    h("p", { class: "doing" }, activity(summary, now)),
+    domes(summary, now),
     summary.schedule && h("p", { class: "muted" }, `${summary.schedule.finished} of ${summary.schedule.rows} rows done`, summary.schedule.failed ? `, ${summary.schedule.failed} failed or skipped` : "", ` · ${summary.frames} frames`),
     !navigator.connection?.saveData && picture(arrived(summary), "thumb"),
     unreadable(summary),
     top && h("p", { class: "top-alert" }, top.cause),
-    summary.device_count.lost > 0 && h("p", {}, h("span", { class: "tag p3" }, `▼ ${summary.device_count.lost} of ${summary.device_count.known} devices silent`)),
+    summary.device_count.lost > 0 && h("p", {}, h("span", { class: "tag medium" }, `▼ ${summary.device_count.lost} of ${summary.device_count.known} devices silent`)),
     h("div", { class: "tile-foot" }, h("span", {}, alertCounts(summary.alert_counts)), ageMark(now.age, now.worth, " ago")));
+}
+
+/** While the observatory node is silent: how each dome stands, what closes it, and when. */
+export function domes(summary, now) {
+  const words = now.fresh || store.link !== "live" ? [] : summary.domes ?? [];
+  return words.map((text) => h("p", { key: text.split(":")[0], class: "why", "data-dome": text.split(":")[0] }, text));
 }
 
 /** The two words, with the shape of what they mean together. */
 export function words(now) {
-  const shape = ["", "▲ ", "◆ ", "▼ "][now.concern ?? 0];
+  const shape = now.concern ? `${PRIORITY[now.concern]} ` : "";
   return [
-    h("strong", { class: `safety ${now.safety}${now.concern ? ` p${now.concern}` : ""}` }, shape + now.safety.toUpperCase()),
+    h("strong", { class: `safety ${now.safety}${now.concern ? ` ${now.concern}` : ""}` }, shape + now.safety.toUpperCase()),
     h("span", { class: "posture" }, now.posture === "unknown" ? "dome unknown" : now.posture.toUpperCase()),
   ];
 }
 
 const rank = (summary) => {
   const now = standing(summary);
-  const { p1, p2 } = summary.alert_counts;
-  return now.concern === 1 || p1 ? 0 : now.concern === 2 || p2 ? 1 : now.worth !== "fresh" ? 2 : 3;
+  const { critical, high } = summary.alert_counts;
+  return now.concern === "critical" || critical ? 0 : now.concern === "high" || high ? 1 : now.worth !== "fresh" ? 2 : 3;
 };
 
 /** The page. */
@@ -139,7 +139,7 @@ export function overview() {
       return h("section", { key: site, "aria-label": `site ${site}` },
         h("div", { class: "site" }, h("h2", {}, site), shared && h("p", {},
           h("a", { href: `/t/${shared.id}`, "data-go": true }, "shared equipment"), " ",
-          h("span", { class: shared.device_count.lost ? "tag p3" : "muted" }, `${shared.device_count.known - shared.device_count.lost} of ${shared.device_count.known} devices`))),
+          h("span", { class: shared.device_count.lost ? "tag medium" : "muted" }, `${shared.device_count.known - shared.device_count.lost} of ${shared.device_count.known} devices`))),
         h("div", { class: "tiles" }, here.map((summary) => guarded(summary.telescope_id, () => tile(summary)))));
     }),
   ];

@@ -3,7 +3,7 @@ import { guarded, h } from "./dom.js";
 import { devices, exposure } from "./devices.js";
 import { clock, day, duration, hourMinute, number, plain, PRIORITY } from "./format.js";
 import { ageOf, quality, skyNow, store } from "./link.js";
-import { activity, ageCell, ageMark, arrived, picture, standing, unreadable, words } from "./overview.js";
+import { activity, ageCell, ageMark, arrived, domes, picture, standing, unreadable, words } from "./overview.js";
 
 const LEVELS = ["error", "warn", "info"];
 const SHAPES = { pending: "·", running: "▶", interrupted: "‖", finished: "✓", failed: "✕", skipped: "–" };
@@ -18,11 +18,12 @@ const entryAge = (entry) => ageMark(ageOf(entry), quality(ageOf(entry), entry.pe
 function banner(summary, now) {
   const { safety } = summary;
   const toSafe = now.fresh && safety.state !== "safe" && safety.time_to_safe_s != null ? `safe in at least ${duration(safety.time_to_safe_s)}` : null;
-  return h("section", { key: "banner", class: `panel banner ${now.worth}${now.concern ? ` p${now.concern}` : ""}`, "aria-label": "safety and posture" },
+  return h("section", { key: "banner", class: `panel banner ${now.worth}${now.concern ? ` ${now.concern}` : ""}`, "aria-label": "safety and posture" },
     h("p", { class: "words big", "data-safety": now.safety, "data-posture": now.posture, "data-mode": now.mode, "aria-live": "assertive", "aria-atomic": "true" },
       words(now), now.mode !== "unknown" && h("span", { class: "word" }, now.mode.toUpperCase()), summary.simulated && h("span", { class: "word sim" }, "SIMULATION")),
     h("p", { class: "since" }, toSafe && h("strong", { "data-time-to-safe": safety.time_to_safe_s }, `${toSafe}. `),
       now.fresh && safety.since_utc && `${safety.state} since ${clock(safety.since_utc)}, `, now.fresh ? "received " : store.link !== "live" && `last received: ${safety.state.toUpperCase()}, ${summary.posture.toUpperCase()}, `, ageMark(now.age, now.worth, " ago")),
+    domes(summary, now),
     store.link === "live" && [["", safety.reasons], ["No exposures of the sky: ", safety.suspended], ["Near a limit: ", safety.advisories]].map(([lead, list]) =>
       list.length > 0 && h("ul", { key: lead, class: "reasons" }, list.map((reason) => h("li", { key: reason.input }, lead,
         h("strong", {}, reason.input), ` ${reason.why}`, reason.clears_in_s != null && h("span", { class: "muted" }, ` (can clear in ${duration(reason.clears_in_s)})`))))));
@@ -41,8 +42,7 @@ function fate(alert) {
 function alerts(summary) {
   if (!summary.alerts.length) return null;
   return section("alerts", `Alerts (${summary.alerts.length})`, h("ul", {}, summary.alerts.map((alert) => {
-    const [shape, label] = PRIORITY[alert.priority] ?? ["?", "?"];
-    return h("li", { key: alert.id, "data-alert": alert.id }, h("span", { class: `tag ${label.toLowerCase()}` }, `${shape} ${label}`),
+    return h("li", { key: alert.id, "data-alert": alert.id }, h("span", { class: `tag ${alert.priority}` }, `${PRIORITY[alert.priority] ?? "?"} ${alert.priority}`),
       h("div", {}, h("strong", {}, alert.cause), h("p", {}, `${alert.consequence} `, h("em", {}, alert.action)), h("p", { class: "muted" }, `${alert.id} · since ${clock(alert.raised_utc)}${fate(alert)}`)));
   })));
 }
@@ -58,7 +58,7 @@ function doing(summary, now) {
         h("p", { class: "step" }, action.step || "…"),
         light && h("p", { class: "light" }, h("progress", { max: "1", value: light.part.toFixed(3), "aria-label": "exposure" }), ` ${number(light.passed, 0)} of ${plain(light.total)} s`));
     }),
-    !actions.length && h("p", { class: "step" }, now.fresh ? activity(summary, true) : "not known"),
+    !actions.length && h("p", { class: "step" }, activity(summary, now) || "not known"),
     h("p", { class: "muted" }, facts));
 }
 
@@ -83,7 +83,7 @@ function schedule(address) {
   const { rows, file, revision, refused } = entry.body;
   return section("schedule", "Schedule",
     h("p", { class: "muted" }, `${file}, version ${revision} · `, entryAge(entry)),
-    refused && h("p", { class: "why" }, h("span", { class: "tag p3" }, "▼ not taken"), ` ${refused}`),
+    refused && h("p", { class: "why" }, h("span", { class: "tag medium" }, "▼ not taken"), ` ${refused}`),
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-labelledby": "h-schedule" }, h("table", { class: "rows" },
       h("thead", {}, h("tr", {}, ["row", "what", "window", "frames", "status"].map((word) => h("th", { scope: "col" }, word)))),
       h("tbody", {}, rows.map((row) => h("tr", { key: row.row, class: row.status, "data-row": row.row, "data-status": row.status },

@@ -9,7 +9,7 @@ export async function askUser() {
     if (!response.ok) return;
     const me = await response.json();
     show(document.getElementById("user"), me.way === "session" && [me.name, " ", h("button", { onclick: leave }, "Log out")],
-      me.insecure_open && h("span", { class: "tag p2" }, "▲ OPEN TO EVERYBODY"));
+      me.insecure_open && h("span", { class: "tag high" }, "▲ OPEN TO EVERYBODY"));
   } catch {
     // the server is away; the page shows that itself
   }
