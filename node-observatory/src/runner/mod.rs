@@ -209,12 +209,10 @@ impl Runner {
     /// Takes the reason of an interruption from the rows that nothing stands against any more.
     fn forget_gone_causes(&self) {
         let machine = self.tools.authority.node.bus.clock().machine();
-        let each = self.sequence.rows().iter().zip(self.sequence.statuses()).enumerate();
-        for (index, (row, status)) in each {
-            let waits = *status == RowStatus::Interrupted && !self.rests.rests(&row.id, machine);
-            if waits && self.tools.authority.objection(Some(row)).is_none() {
-                self.tools.night.at(number(index), |row| row.detail.clear());
-            }
+        let stands_against =
+            |row: &Row| self.rests.rests(&row.id, machine) || self.tools.authority.objection(Some(row)).is_some();
+        for index in self.sequence.released(stands_against) {
+            self.tools.night.at(number(index), |row| row.detail.clear());
         }
     }
 
