@@ -127,7 +127,8 @@ impl GuardTask {
             for effect in effects {
                 if let GuardEffect::Publish(number) = effect {
                     let payload = self.guard().published(number, clock.machine(), permits.malformed());
-                    publisher.put(payload).await?;
+                    let watchdog_s = Some(self.feeder.limit_s().unwrap_or(0.0));
+                    publisher.put(PublishedGuard { watchdog_s, ..payload }).await?;
                 } else {
                     self.perform(effect, &mut hands);
                 }

@@ -238,38 +238,17 @@ pub fn posture(devices: &Devices) -> Posture {
     }
     // A dome whose status is closed without proof is not known to be closed.
     let shutter = |dome: &Dome| dome.shutter().filter(|shutter| *shutter != Shutter::Closed || !dome.is_doubted());
-    of_shutters(devices.domes.iter().map(shutter))
-}
-
-fn of_shutters(shutters: impl Iterator<Item = Option<Shutter>>) -> Posture {
-    let each = shutters.map(|shutter| match shutter {
-        None | Some(Shutter::Error) => Posture::Unknown,
-        Some(Shutter::Open) => Posture::Open,
-        Some(Shutter::Opening) => Posture::Opening,
-        Some(Shutter::Closing) => Posture::Closing,
-        Some(Shutter::Closed) => Posture::Closed,
-    });
-    worst(each)
+    let each = devices.domes.iter().map(|dome| Posture::of_shutter(shutter(dome)));
+    Posture::least_closed(each).unwrap_or(Posture::Closed)
 }
 
 fn of_parks(parked: impl Iterator<Item = Option<bool>>) -> Posture {
-    worst(parked.map(|parked| match parked {
+    let each = parked.map(|parked| match parked {
         None => Posture::Unknown,
         Some(true) => Posture::Closed,
         Some(false) => Posture::Open,
-    }))
-}
-
-/// The least closed of several.
-fn worst(each: impl Iterator<Item = Posture>) -> Posture {
-    let rank = |posture: &Posture| match posture {
-        Posture::Closed => 0,
-        Posture::Closing => 1,
-        Posture::Opening => 2,
-        Posture::Open => 3,
-        Posture::Unknown => 4,
-    };
-    each.max_by_key(rank).unwrap_or(Posture::Closed)
+    });
+    Posture::least_closed(each).unwrap_or(Posture::Closed)
 }
 
 /// Publishes the schedule at each change and every 10 s.
@@ -346,7 +325,9 @@ mod tests {
 
     #[test]
     fn the_posture_is_that_of_the_least_closed_dome() {
-        let of = |shutters: &[Option<Shutter>]| of_shutters(shutters.iter().copied());
+        let of = |shutters: &[Option<Shutter>]| {
+            Posture::least_closed(shutters.iter().copied().map(Posture::of_shutter)).unwrap()
+        };
         assert_eq!(of(&[Some(Shutter::Closed), Some(Shutter::Closed)]), Posture::Closed);
         assert_eq!(of(&[Some(Shutter::Closed), Some(Shutter::Open)]), Posture::Open);
         assert_eq!(of(&[Some(Shutter::Closing), Some(Shutter::Closed)]), Posture::Closing);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use bus::MachineTime;
 use contract::node::Stopped;
 use contract::observatory::{Alert, AlertKind, Alerts, Priority};
-use contract::{Key, NodeTopic, Part};
+use contract::{Key, Name, NodeTopic, Part};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 
@@ -14,12 +14,12 @@ use crate::model::{Entry, Telescope};
 
 /// Alerts by priority.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, JsonSchema, Serialize)]
-#[allow(missing_docs, reason = "P1 to P4")]
+#[allow(missing_docs, reason = "the words of the priorities")]
 pub struct Counts {
-    pub p1: usize,
-    pub p2: usize,
-    pub p3: usize,
-    pub p4: usize,
+    pub critical: usize,
+    pub high: usize,
+    pub medium: usize,
+    pub advisory: usize,
 }
 
 impl Counts {
@@ -27,16 +27,17 @@ impl Counts {
     pub fn of(alerts: &[Alert]) -> Self {
         let of = |priority| alerts.iter().filter(|alert| alert.priority == priority).count();
         Self {
-            p1: of(Priority::Critical),
-            p2: of(Priority::High),
-            p3: of(Priority::Medium),
-            p4: of(Priority::Advisory),
+            critical: of(Priority::Critical),
+            high: of(Priority::High),
+            medium: of(Priority::Medium),
+            advisory: of(Priority::Advisory),
         }
     }
 }
 
-/// Alerts of the observatory node and of each node itself, and one for each node that fell silent.
-pub fn active(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
+/// Alerts of the observatory node and of each node itself, and one for each node that fell silent. `shared` are the alerts
+/// about what the site shares that count here as well.
+pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Vec<Alert> {
     let mut found: BTreeMap<String, Alert> = BTreeMap::new();
     // The observatory node's own list contains what people did about each.
     let (first, then): (Vec<_>, Vec<_>) =
@@ -65,6 +66,9 @@ pub fn active(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
             _ => {}
         }
     }
+    for alert in shared {
+        found.entry(alert.id.clone()).or_insert(alert);
+    }
     let mut alerts: Vec<Alert> = found.into_values().collect();
     alerts.sort_by(|a, b| (a.priority, a.raised_utc, &a.id).cmp(&(b.priority, b.raised_utc, &b.id)));
     alerts
@@ -73,6 +77,16 @@ pub fn active(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
 /// How a node ended, where this is the last state of one that was asked to end.
 pub fn stopped(entry: &Entry) -> Option<Stopped> {
     Stopped::deserialize(entry.body.get("stopped")?).ok()
+}
+
+/// Of the alerts that the nodes of a site's shared devices publish, those about these devices.
+pub fn about<'a>(shared: &Telescope, devices: impl Iterator<Item = &'a Name> + Clone) -> Vec<Alert> {
+    let is_about = |alert: &Alert| devices.clone().any(|name| alert.id.split('/').any(|part| part == name.as_str()));
+    let of = |entry: &Entry| match &entry.key {
+        Key::Node(_, _, _, NodeTopic::Alerts) => Alerts::deserialize(entry.body.as_ref()).unwrap_or_default().alerts,
+        _ => Vec::new(),
+    };
+    shared.states.values().flat_map(of).filter(is_about).collect()
 }
 
 #[cfg(test)]
@@ -94,7 +108,7 @@ mod tests {
             network.accept(received(&format!("paranal/callisto/{key}"), "b", 0, 100, body.clone()));
         }
         let now = MachineTime::from_boot(Duration::from_secs(now_s));
-        active(&network.read().telescopes[&address], now).into_iter().map(|alert| alert.id).collect()
+        active(&network.read().telescopes[&address], Vec::new(), now).into_iter().map(|alert| alert.id).collect()
     }
 
     fn alert(id: &str, priority: &str) -> Value {

@@ -26,16 +26,6 @@ const STALE_AT_LEAST: Duration = Duration::from_secs(5);
 const LOST_AT_LEAST: Duration = Duration::from_secs(15);
 
 impl Quality {
-    /// The word that the page shows.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Fresh => "fresh",
-            Self::Stale => "stale",
-            Self::Lost => "lost",
-            Self::Never => "never received",
-        }
-    }
-
     /// Judges an age against the period that was promised; a payload without a period never grows stale.
     pub fn of(age: Duration, period: Option<Duration>) -> Self {
         match period {

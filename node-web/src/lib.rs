@@ -33,6 +33,7 @@ mod authentication;
 mod command_store;
 mod commands;
 mod diary;
+mod domes;
 mod drafts;
 mod edge;
 mod freshness;

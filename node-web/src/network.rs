@@ -84,7 +84,8 @@ impl Network {
             Some((made, summaries)) if now.since(*made) < SUMMARY_VALID => summaries.clone(),
             _ => {
                 let model = self.read();
-                let made = model.telescopes.iter().map(|(address, telescope)| Summary::of(address, telescope, now));
+                let made =
+                    model.telescopes.iter().map(|(address, telescope)| Summary::of(&model, address, telescope, now));
                 let made = Arc::new(made.collect::<Vec<_>>());
                 *cached = Some((now, made.clone()));
                 made

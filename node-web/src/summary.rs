@@ -1,7 +1,7 @@
 //! One telescope in a few words: safety, posture, mode, activity, alerts, age.
 //!
-//! The verdict is the observatory node's own and is never recomputed here; a stale verdict or posture counts as
-//! unknown, because a permit would not outlive it either.
+//! The verdict is the observatory node's own and is never recomputed here; a stale one counts as unknown, because a permit
+//! would not outlive it either. The posture is then that of the domes by their own device nodes.
 
 use std::time::Duration;
 
@@ -9,16 +9,19 @@ use bus::MachineTime;
 use contract::device::camera::Frame;
 use contract::node::{NodeState, Stopped};
 use contract::observatory::{
-    ActionNow, Alert, GuidingState, NightState, Posture, RowStatus, SafetyState, ScheduleState, Unsafe, Verdict,
+    ActionNow, Alert, GuidingState, NightState, OperatorOrders, Posture, Priority, RowStatus, SafetyState, ScheduleState,
+    Unsafe, Verdict,
 };
 use contract::{Address, Chunk, Key, NodeTopic, Part, Role};
+use overview::{DomeView, Seen};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 use units::Utc;
 
-use crate::alerts::{Counts, active, stopped};
+use crate::alerts::{Counts, about, active, stopped};
+use crate::domes;
 use crate::freshness::Quality;
-use crate::model::{Entry, Telescope, Unreadable};
+use crate::model::{Entry, Model, Telescope, Unreadable};
 
 /// A tile of the overview, and the head of the telescope page.
 #[derive(Debug, Clone, JsonSchema, Serialize)]
@@ -49,8 +52,19 @@ pub struct Face {
     pub stopped: Option<StoppedTelescope>,
     /// The safety word.
     pub safety: Safety,
-    /// The posture; `unknown` when stale.
+    /// The posture: of the observatory node while it publishes, else by the domes' own device nodes; `unknown` where
+    /// neither is known.
     pub posture: Posture,
+    /// The source of the posture.
+    pub posture_by: Reporter,
+    /// Sky time since when the observatory node is silent, where that is known; absent while it publishes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub observatory_silent_since_utc: Option<Utc>,
+    /// What it does now, or the present reason why it waits, in words.
+    pub now: String,
+    /// While the observatory node is silent: how each dome stands, what closes it by itself, and when.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub domes: Vec<String>,
     /// How it is run.
     pub mode: Mode,
     /// The devices are simulated.
@@ -70,9 +84,9 @@ pub struct Face {
     pub alerts: Vec<Alert>,
     /// Alerts by priority.
     pub alert_counts: Counts,
-    /// How much safety and posture together concern an operator: 1 critical to 3 medium; absent when all is well.
+    /// How much safety and posture together concern an operator; absent when all is well.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub concern: Option<u8>,
+    pub concern: Option<Priority>,
     /// Known devices, and those without link or silent.
     pub device_count: Heads,
     /// Known nodes, and those that fell silent.
@@ -136,6 +150,18 @@ pub struct Safety {
     /// Sky seconds until it can be safe.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_to_safe_s: Option<f64>,
+}
+
+/// The source of the posture of a telescope.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reporter {
+    /// Its observatory node.
+    Observatory,
+    /// The device nodes of its domes; the observatory node is silent.
+    Domes,
+    /// Nobody.
+    Nobody,
 }
 
 /// The three words of safety.
@@ -235,7 +261,7 @@ const GRACE_S: f64 = 30.0;
 
 impl Summary {
     /// Sums up what is known now.
-    pub fn of(address: &Address, telescope: &Telescope, now: MachineTime) -> Self {
+    pub fn of(model: &Model, address: &Address, telescope: &Telescope, now: MachineTime) -> Self {
         let shared = address.telescope.as_str() == Address::SHARED;
         let part = |part| Key::Observatory(address.clone(), part);
         let night = telescope.read::<NightState>(&part(Part::Night));
@@ -247,12 +273,38 @@ impl Summary {
         let speed = night.as_ref().map_or(1.0, |(_, night)| night.speed);
 
         let fresh_night = night.as_ref().filter(|(entry, _)| entry.quality(now) == Quality::Fresh).map(|(_, n)| n);
-        let posture = fresh_night.map_or(Posture::Unknown, |night| night.posture);
-        let words = safety_words(safety.as_ref(), now);
+        let site = model.telescopes.get(&address.shared()).filter(|_| !shared);
+        let domes = match fresh_night {
+            None if !shared => domes::over(address, telescope, site, now),
+            _ => Vec::new(),
+        };
+        let of_domes = Posture::least_closed(domes.iter().map(DomeView::posture));
+        let (posture, posture_by) = match (fresh_night, of_domes) {
+            (Some(night), _) => (night.posture, Reporter::Observatory),
+            (None, Some(posture)) => (posture, Reporter::Domes),
+            (None, None) => (Posture::Unknown, Reporter::Nobody),
+        };
+        let is_silent = quality != Quality::Fresh && !shared;
+        let renewed = domes.iter().filter_map(|dome| dome.renewed(address)).max();
+        let silent_since = newest.map(|entry| entry.at_utc).or(renewed).filter(|_| is_silent);
+        let words = safety_words(safety.as_ref(), silent_since, now);
         let held_s = safety.as_ref().map_or(f64::INFINITY, |(entry, state)| {
             entry.at_utc.seconds_since(state.since_utc) / speed + entry.age(now).as_secs_f64()
         });
-        let alerts = active(telescope, now);
+        let names = domes.iter().filter(|view| view.dome.address != *address).map(|view| &view.dome.name);
+        let alerts = active(telescope, site.map(|site| about(site, names)).unwrap_or_default(), now);
+        let fresh_safety = safety.as_ref().filter(|(entry, _)| entry.quality(now) == Quality::Fresh).map(|(_, s)| s);
+        let schedule = telescope.read::<ScheduleState>(&part(Part::Schedule)).map(|(_, schedule)| schedule);
+        let orders = telescope.read::<OperatorOrders>(&part(Part::OperatorOrders)).map(|(_, orders)| orders);
+        let seen = Seen {
+            address,
+            now: newest.map(|entry| entry.at_utc),
+            night: fresh_night,
+            safety: fresh_safety,
+            schedule: schedule.as_ref(),
+            orders: orders.as_ref(),
+            silent_since,
+        };
         let stopped = stopped_telescope(telescope);
         let is_stopped_closed = stopped.as_ref().is_some_and(|stopped| stopped.closed == Some(true));
         let image = telescope.image.as_ref();
@@ -262,14 +314,18 @@ impl Summary {
             telescope_id: address.telescope.clone(),
             shared,
             quality,
-            concern: if shared || quality == Quality::Never || is_stopped_closed {
-                None
-            } else {
-                concern(words.state, posture, held_s)
+            concern: match quality {
+                _ if shared || is_stopped_closed => None,
+                Quality::Never if posture_by == Reporter::Nobody => None,
+                _ => concern(words.state, posture, held_s),
             },
             stopped,
             safety: words,
             posture,
+            posture_by,
+            observatory_silent_since_utc: silent_since,
+            now: if shared { String::new() } else { seen.now() },
+            domes: domes.iter().map(DomeView::words).collect(),
             mode: match fresh_night.map(|night| night.robotic) {
                 Some(true) => Mode::Robotic,
                 Some(false) => Mode::Manual,
@@ -280,7 +336,7 @@ impl Summary {
             ended: fresh_night.is_some_and(|night| night.ended),
             activity: fresh_night.map(|night| night.actions.clone()).unwrap_or_default(),
             frames: night.as_ref().map_or(0, |(_, night)| night.frames),
-            schedule: telescope.read::<ScheduleState>(&part(Part::Schedule)).map(|(_, schedule)| summed(&schedule)),
+            schedule: schedule.as_ref().map(summed),
             alert_counts: Counts::of(&alerts),
             alerts,
             device_count: devices(telescope, now),
@@ -361,54 +417,50 @@ fn figures(address: &Address, telescope: &Telescope, now: MachineTime) -> Figure
     Figures { guide_rms_arcsec: arcsec(rms_px), fwhm_arcsec: arcsec(facts.fwhm_px) }
 }
 
-fn safety_words(state: Option<&(&Entry, SafetyState)>, now: MachineTime) -> Safety {
-    match state {
-        Some((entry, state)) => {
-            let fresh = entry.quality(now) == Quality::Fresh;
-            let word = match state.verdict {
-                _ if !fresh => SafetyWord::Unknown,
+fn safety_words(state: Option<&(&Entry, SafetyState)>, silent_since: Option<Utc>, now: MachineTime) -> Safety {
+    let fresh = state.filter(|(entry, _)| entry.quality(now) == Quality::Fresh);
+    if let Some((_, state)) = fresh {
+        return Safety {
+            state: match state.verdict {
                 Verdict::Safe => SafetyWord::Safe,
                 Verdict::Unsafe => SafetyWord::Unsafe,
-            };
-            let silent = Unsafe {
-                input: "observatory node".to_owned(),
-                why: format!("its verdict is {}, the last one was {:?}", entry.quality(now).word(), state.verdict)
-                    .to_lowercase(),
-                clears_in_s: None,
-            };
-            Safety {
-                state: word,
-                since_utc: fresh.then_some(state.since_utc),
-                reasons: if fresh { state.reasons.clone() } else { vec![silent] },
-                suspended: if fresh { state.suspended.clone() } else { Vec::new() },
-                advisories: if fresh { state.advisories.clone() } else { Vec::new() },
-                time_to_safe_s: state.time_to_safe_s.filter(|_| fresh),
-            }
-        }
-        None => Safety {
-            state: SafetyWord::Unknown,
-            since_utc: None,
-            reasons: Vec::new(),
-            suspended: Vec::new(),
-            advisories: Vec::new(),
-            time_to_safe_s: None,
-        },
+            },
+            since_utc: Some(state.since_utc),
+            reasons: state.reasons.clone(),
+            suspended: state.suspended.clone(),
+            advisories: state.advisories.clone(),
+            time_to_safe_s: state.time_to_safe_s,
+        };
+    }
+    let last = state.map(|(_, state)| match state.verdict {
+        Verdict::Safe => "; its last verdict was safe",
+        Verdict::Unsafe => "; its last verdict was unsafe",
+    });
+    let why = format!("{}{}", overview::silent(silent_since), last.unwrap_or_default());
+    let silent = Unsafe { input: "observatory node".to_owned(), why, clears_in_s: None };
+    Safety {
+        state: SafetyWord::Unknown,
+        since_utc: None,
+        reasons: if state.is_some() || silent_since.is_some() { vec![silent] } else { Vec::new() },
+        suspended: Vec::new(),
+        advisories: Vec::new(),
+        time_to_safe_s: None,
     }
 }
 
 /// How urgently the two words together concern an operator.
-fn concern(safety: SafetyWord, posture: Posture, held_s: f64) -> Option<u8> {
+fn concern(safety: SafetyWord, posture: Posture, held_s: f64) -> Option<Priority> {
     let after_grace = |late, early| if held_s > GRACE_S { late } else { early };
     match (safety, posture) {
         (SafetyWord::Safe, Posture::Closed | Posture::Opening | Posture::Open | Posture::Closing) => None,
-        (SafetyWord::Safe, Posture::Unknown) => Some(2),
+        (SafetyWord::Safe, Posture::Unknown) => Some(Priority::High),
         (SafetyWord::Unsafe, Posture::Closed) => None,
-        (SafetyWord::Unsafe, Posture::Closing) => Some(after_grace(1, 3)),
-        (SafetyWord::Unsafe, Posture::Open) => Some(after_grace(1, 2)),
-        (SafetyWord::Unsafe, Posture::Opening | Posture::Unknown) => Some(1),
-        (SafetyWord::Unknown, Posture::Closed) => Some(3),
-        (SafetyWord::Unknown, Posture::Opening | Posture::Closing) => Some(2),
-        (SafetyWord::Unknown, Posture::Open | Posture::Unknown) => Some(1),
+        (SafetyWord::Unsafe, Posture::Closing) => Some(after_grace(Priority::Critical, Priority::Medium)),
+        (SafetyWord::Unsafe, Posture::Open) => Some(after_grace(Priority::Critical, Priority::High)),
+        (SafetyWord::Unsafe, Posture::Opening | Posture::Unknown) => Some(Priority::Critical),
+        (SafetyWord::Unknown, Posture::Closed) => Some(Priority::Medium),
+        (SafetyWord::Unknown, Posture::Opening | Posture::Closing) => Some(Priority::High),
+        (SafetyWord::Unknown, Posture::Open | Posture::Unknown) => Some(Priority::Critical),
     }
 }
 
@@ -453,8 +505,8 @@ mod tests {
     fn unsafe_and_closed_is_quiet_but_open_and_blind_is_the_loudest() {
         assert_eq!(concern(SafetyWord::Unsafe, Posture::Closed, 1e6), None);
         assert_eq!(concern(SafetyWord::Safe, Posture::Open, 0.0), None);
-        assert_eq!(concern(SafetyWord::Unknown, Posture::Unknown, 0.0), Some(1));
-        assert_eq!(concern(SafetyWord::Unsafe, Posture::Opening, 0.0), Some(1));
+        assert_eq!(concern(SafetyWord::Unknown, Posture::Unknown, 0.0), Some(Priority::Critical));
+        assert_eq!(concern(SafetyWord::Unsafe, Posture::Opening, 0.0), Some(Priority::Critical));
     }
 
     /// The summary of a telescope long after these last states, by the node's path below `node`.
@@ -474,7 +526,8 @@ mod tests {
             network.accept(receive(&format!("node/{node}/state"), state(1, stopped)));
         }
         let now = MachineTime::from_boot(std::time::Duration::from_secs(9000));
-        Summary::of(&address, &network.read().telescopes[&address], now).face
+        let model = network.read();
+        Summary::of(&model, &address, &model.telescopes[&address], now).face
     }
 
     #[test]
@@ -493,20 +546,20 @@ mod tests {
         let open = [("observatory/main", by(Some(false))), ("device/enclosure", by(Some(false)))];
         let face = long_after(&open);
         assert_eq!(face.stopped.unwrap().text, "stopped by starmesh up on pc, NOT verified closed");
-        assert!(face.concern == Some(1) && face.alerts.len() == 2 && face.node_count.lost == 2);
+        assert!(face.concern == Some(Priority::Critical) && face.alerts.len() == 2 && face.node_count.lost == 2);
 
         let closed_later = [("observatory/main", by(Some(false))), ("device/enclosure", by(Some(true)))];
         assert_eq!(long_after(&closed_later).stopped.unwrap().closed, Some(true));
         let standby = [("observatory/main", by(Some(true))), ("observatory/second", runs.clone())];
         assert_eq!(long_after(&standby).stopped, None);
         let lost = [("observatory/main", runs)];
-        assert!(long_after(&lost).concern == Some(1), "no node has published that it would be silent");
+        assert!(long_after(&lost).concern == Some(Priority::Critical), "no node has published that it would be silent");
     }
 
     #[test]
     fn a_roof_that_is_still_open_becomes_critical_after_the_grace() {
-        assert_eq!(concern(SafetyWord::Unsafe, Posture::Open, 10.0), Some(2));
-        assert_eq!(concern(SafetyWord::Unsafe, Posture::Open, 31.0), Some(1));
-        assert_eq!(concern(SafetyWord::Unsafe, Posture::Closing, 10.0), Some(3));
+        assert_eq!(concern(SafetyWord::Unsafe, Posture::Open, 10.0), Some(Priority::High));
+        assert_eq!(concern(SafetyWord::Unsafe, Posture::Open, 31.0), Some(Priority::Critical));
+        assert_eq!(concern(SafetyWord::Unsafe, Posture::Closing, 10.0), Some(Priority::Medium));
     }
 }

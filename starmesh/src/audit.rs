@@ -199,7 +199,7 @@ fn show(chains: &[Chain], since: Option<Utc>, device: Option<&str>) -> anyhow::R
 /// A record as a line for people.
 fn sentence(record: &AuditRecord) -> String {
     let AuditRecord { at_utc, node, from, from_host, device, verb, parameters, token, reason, outcome, .. } = record;
-    let mut text = format!("{at_utc} {node}: {from}");
+    let mut text = format!("{} {node}: {from}", at_utc.to_second());
     if !from_host.is_empty() {
         text.push_str(&format!("@{from_host}"));
     }

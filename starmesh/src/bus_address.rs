@@ -18,6 +18,15 @@ pub fn of_supervisor(file: &config::Bus) -> config::Bus {
 /// A free port of this host.
 const HERE: &str = "tcp/127.0.0.1:0";
 
+/// The address of the supervisor for programs of this host.
+pub async fn on_this_host(supervisor: &Bus) -> Option<String> {
+    supervisor.locators().await.into_iter().find(|locator| is_here(locator))
+}
+
+fn is_here(locator: &str) -> bool {
+    locator.starts_with("tcp/127.0.0.1:")
+}
+
 /// The arguments of a node with its addresses to listen on and to connect to.
 pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
     let mut arguments = Vec::new();
@@ -30,13 +39,9 @@ pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
         for endpoint in ["tcp/0.0.0.0:0", HERE] {
             arguments.extend(["--listen".to_owned(), endpoint.to_owned()]);
         }
-        let here = locators.first().map(String::as_str).unwrap_or_default();
-        lines::complain(format_args!(
-            "starmesh: this host has no network; its own nodes meet all the same, and commands such as `starmesh status` need \
-             --connect {here}"
-        ));
+        lines::complain("starmesh: this host has no network; its own nodes and commands meet all the same");
     }
-    for locator in locators.iter().filter(|locator| locator.starts_with("tcp/127.0.0.1:")) {
+    for locator in locators.iter().filter(|locator| is_here(locator)) {
         arguments.extend(["--connect".to_owned(), locator.clone()]);
     }
     // The address of files without `[bus]` is for all of them: the first has it, and the others meet it there.

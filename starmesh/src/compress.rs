@@ -36,7 +36,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let short =
         compressed(text.trim_start_matches('\u{feff}'), *factor, start).with_context(|| file.display().to_string())?;
     std::fs::write(out, short).with_context(|| format!("cannot write {}", out.display()))?;
-    line(format_args!("wrote {}: the first row begins {start}", out.display()))
+    line(format_args!("wrote {}: the first row begins {}", out.display(), start.to_second()))
 }
 
 fn compressed(text: &str, factor: f64, start: Utc) -> anyhow::Result<String> {

@@ -2,10 +2,13 @@
 
 use clap::Args;
 
+use crate::running;
+
 /// Where the bus is.
 #[derive(Debug, Clone, Args)]
 pub struct Join {
-    /// Meet this peer, such as tcp/10.0.0.5:7447; peers on the local network are found without it.
+    /// Meet this peer, such as tcp/10.0.0.5:7447. Peers on the local network, and a `starmesh demo` or `starmesh up` of this
+    /// account on this machine, are found without it.
     #[arg(long, value_name = "ENDPOINT", global = true, value_parser = config::endpoints::peer)]
     connect: Vec<String>,
     /// Do not look for peers by multicast.
@@ -14,9 +17,39 @@ pub struct Join {
 }
 
 impl Join {
-    /// Joins the bus.
+    /// Joins the bus; without an address, that of what runs here for this account.
     pub async fn open(&self) -> anyhow::Result<bus::Bus> {
-        let config = config::Bus { listen: Vec::new(), connect: self.connect.clone(), multicast: !self.no_multicast };
+        let mut connect = self.connect.clone();
+        if connect.is_empty() {
+            connect.extend(running::all().into_iter().map(|running| running.bus));
+        }
+        let config = config::Bus { listen: Vec::new(), connect, multicast: !self.no_multicast };
         Ok(bus::Bus::open(&config, bus::Clock::machine_clock()).await?)
     }
+
+    /// Where this looked, for the message that it found nothing.
+    pub fn tried(&self) -> String {
+        let multicast = match self.no_multicast {
+            true => "not the local network, because of --no-multicast",
+            false => "the local network, by multicast",
+        };
+        if !self.connect.is_empty() {
+            return format!("looked at {} (--connect) and {multicast}", self.connect.join(", "));
+        }
+        let here = running::all().into_iter().map(|running| {
+            format!("`starmesh {}` of {} in {}", running.command, running.telescope, running.folder.display())
+        });
+        let here: Vec<String> = here.collect();
+        let here = match here.as_slice() {
+            [] => format!("no `starmesh demo` or `starmesh up` of this account runs here{}", files()),
+            found => format!("here run {}", found.join(", ")),
+        };
+        format!(
+            "looked at {multicast}; {here}. Start one, or name a host's address with --connect, such as --connect tcp/10.0.0.5:7447"
+        )
+    }
+}
+
+fn files() -> String {
+    running::place().map(|place| format!(" (by {})", place.display())).unwrap_or_default()
 }

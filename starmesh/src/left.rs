@@ -7,18 +7,11 @@ use std::time::Duration;
 use anyhow::{Context as _, bail};
 use contract::Role;
 use serde::{Deserialize, Serialize};
-use sysinfo::{Pid, ProcessesToUpdate, System};
+
+use crate::process::Process;
 
 /// A device node without an enclosure ends within this time.
 const END: Duration = Duration::from_secs(15);
-
-/// A process; its start distinguishes it from a later one of the same number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-struct Process {
-    pid: u32,
-    /// Seconds since 1970.
-    started_s: u64,
-}
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 struct Started {
@@ -50,24 +43,24 @@ impl Left {
         // A file that is not whole names no process.
         let before: Processes =
             std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
-        if let Some(up) = before.up.filter(|up| is_alive(*up)) {
+        if let Some(up) = before.up.filter(|up| up.is_alive()) {
             bail!(
                 "another `starmesh up` runs this file already, as process {0}; one is enough. To end that one press Ctrl-C in its \
                  terminal, or type kill {0}: it closes the enclosure first, which takes some seconds",
                 up.pid
             );
         }
-        for Started { role, id, process } in before.nodes.into_iter().filter(|node| is_alive(node.process)) {
+        for Started { role, id, process } in before.nodes.into_iter().filter(|node| node.process.is_alive()) {
             let pid = process.pid;
             node::lines::print_line(format_args!(
                 "an earlier `starmesh up` left the {role} node {id} as process {pid}: it is asked to end"
             ));
             ask_to_end(pid);
             let began = std::time::Instant::now();
-            while is_alive(process) && began.elapsed() < END {
+            while process.is_alive() && began.elapsed() < END {
                 tokio::time::sleep(Duration::from_millis(200)).await;
             }
-            if is_alive(process) {
+            if process.is_alive() {
                 node::lines::print_line(format_args!(
                     "process {pid} still closes its enclosure; the new {role} node {id} waits for it and then takes over \
                      (kill -9 {pid} ends it at once, and nobody closes meanwhile)"
@@ -75,13 +68,13 @@ impl Left {
             }
         }
         let left = Self { path, processes: std::sync::Mutex::default() };
-        left.change(|processes| processes.up = process(std::process::id()));
+        left.change(|processes| processes.up = Process::of(std::process::id()));
         Ok(left)
     }
 
     /// A node was started.
     pub fn started(&self, role: Role, id: &str, pid: u32) {
-        let Some(process) = process(pid) else { return };
+        let Some(process) = Process::of(pid) else { return };
         self.change(|processes| {
             processes.nodes.retain(|node| (node.role, node.id.as_str()) != (role, id));
             processes.nodes.push(Started { role, id: id.to_owned(), process });
@@ -91,7 +84,7 @@ impl Left {
     /// The processes that were started and still run.
     pub fn names(&self) -> String {
         let processes = self.processes.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        let alive = processes.nodes.iter().filter(|node| is_alive(node.process));
+        let alive = processes.nodes.iter().filter(|node| node.process.is_alive());
         let each = alive.map(|node| format!("the {} node {} as process {}", node.role, node.id, node.process.pid));
         let each: Vec<String> = each.collect();
         if each.is_empty() { "nothing".to_owned() } else { each.join(", ") }
@@ -119,18 +112,6 @@ fn write(path: &Path, processes: &Processes) -> anyhow::Result<()> {
     std::fs::write(&part, serde_json::to_vec(processes)?)
         .and_then(|()| std::fs::rename(&part, path))
         .with_context(|| format!("cannot write {}", path.display()))
-}
-
-fn process(pid: u32) -> Option<Process> {
-    let pid = Pid::from_u32(pid);
-    let mut system = System::new().ok()?;
-    system.refresh_processes(ProcessesToUpdate::Some(&[pid]), true);
-    system.process(pid).map(|found| Process { pid: pid.as_u32(), started_s: found.start_time() })
-}
-
-fn is_alive(known: Process) -> bool {
-    // The start is rounded to seconds and depends on the wall clock, which may have been set.
-    process(known.pid).is_some_and(|found| found.started_s.abs_diff(known.started_s) <= 2)
 }
 
 #[cfg(unix)]

@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
-use anyhow::bail;
+use anyhow::{anyhow, bail};
 use clap::{Arg, ArgMatches, Args, FromArgMatches, Subcommand};
 use contract::command::operator;
 use contract::observatory::OperatorOrders;
 use contract::order_form::{ORDERS, OrderForm, OrderParameter, ParameterValue, check_reason};
 use contract::{Address, CommandId, Key, Order, OrderKind, Part, printable};
-use orders::{Follower, NotAccepted};
+use orders::{Follower, NotAccepted, NotDone, TakenBy};
 use serde_json::{Map, Value, json};
 
 use crate::console::{foreign_line, line};
@@ -72,7 +72,11 @@ fn argument(parameter: &'static OrderParameter) -> Arg {
 impl Subcommand for OrderCommand {
     fn augment_subcommands(command: clap::Command) -> clap::Command {
         command.subcommand_required(true).subcommands(forms().map(|form| {
-            let waits = if form.closes { " Waits until it is verified closed." } else { "" };
+            let waits = if form.closes {
+                " Waits until it is verified closed. Where no observatory node answers, the dome's device node closes."
+            } else {
+                ""
+            };
             let reason = if form.needs_reason { " Needs --reason." } else { "" };
             let about = format!("{}{waits}{reason}", form.meaning);
             clap::Command::new(form.word).about(about).args(form.parameters.iter().map(argument))
@@ -134,38 +138,11 @@ pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join
     check_reason(&by.reason)?;
     let order = Order { id: CommandId::fresh(), from: from(by.operator)?, reason: by.reason, kind, seen: None };
     let bus = join.open().await?;
-    let address = telescopes::read(telescope, &bus).await?;
-    // The subscriptions begin before the order is given, so that no effect is missed.
-    let follower = Follower::open(&bus, &address).await?;
-    let given_utc = bus.clock().utc();
-    let mut tried = 0;
-    loop {
-        match orders::give(&bus, &address, &order).await {
-            Ok(()) => break,
-            Err(error) if error.is_silence() && tried < TRIES => {
-                tried += 1;
-                // A mistyped name is reported at once where others answer.
-                let known = telescopes::known(&bus).await;
-                let is_mistyped = !known.is_empty() && !known.contains(&address);
-                if is_mistyped && !telescopes::has_node(&address, &bus).await {
-                    return Err(telescopes::mistyped(&address, &known));
-                }
-            }
-            Err(error) if error.is_silence() => {
-                return Err(telescopes::unanswered(&address, &bus).await);
-            }
-            Err(NotAccepted::Refused(refusal)) => {
-                bail!("refused, {}: {}", refusal.reason, printable(&refusal.detail))
-            }
-            Err(error) => bail!("{}", printable(&error.to_string())),
-        }
-        tokio::time::sleep(Duration::from_millis(500)).await;
-    }
-    if closes(&order.kind) && !wait.is_zero() {
-        line(format_args!("accepted; waiting until it is verified closed, at most {:.0} s", wait.as_secs_f64()))?;
-        follower.until_closed(&order.id, given_utc, wait).await?;
-        line(format_args!("verified closed"))?;
+    let address = telescopes::read(telescope, &bus, &join).await?;
+    if closes(&order.kind) {
+        close(&bus, &address, &order, wait, &join).await?;
     } else {
+        accept(&bus, &address, &order, &join).await?;
         line(format_args!("accepted"))?;
         if matches!(order.kind, OrderKind::Robotic(true)) {
             print_hold(&bus, &address).await?;
@@ -173,6 +150,72 @@ pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join
     }
     bus.close().await;
     Ok(())
+}
+
+/// Gives an order that only the observatory node can execute; again while nobody answers.
+async fn accept(bus: &bus::Bus, address: &Address, order: &Order, join: &Join) -> anyhow::Result<()> {
+    for tried in 0.. {
+        match orders::give(bus, address, order).await {
+            Ok(()) => break,
+            Err(error) if error.is_silence() && tried < TRIES => {
+                // A mistyped name is reported at once where others answer.
+                let known = telescopes::known(bus).await;
+                if !known.is_empty() && !telescopes::is_known(address, &known, bus).await {
+                    return Err(telescopes::mistyped(address, &known, join));
+                }
+            }
+            Err(error) if error.is_silence() => return Err(telescopes::unanswered(address, bus, join).await),
+            Err(error) => return Err(refused(&error)),
+        }
+        tokio::time::sleep(Duration::from_millis(500)).await;
+    }
+    Ok(())
+}
+
+fn refused(error: &NotAccepted) -> anyhow::Error {
+    match error {
+        NotAccepted::Refused(refusal) => anyhow!("refused, {}: {}", refusal.reason, printable(&refusal.detail)),
+        error => anyhow!("{}", printable(&error.to_string())),
+    }
+}
+
+/// Gives an order that closes, to whoever answers, and prints who takes it and who has closed.
+async fn close(bus: &bus::Bus, address: &Address, order: &Order, wait: Duration, join: &Join) -> anyhow::Result<()> {
+    // The subscriptions begin before the order is given, so that no effect is missed.
+    let follower = Follower::open(bus, address).await?;
+    let until = match wait.is_zero() {
+        true => String::new(),
+        false => format!("; waiting until it is verified closed, at most {:.0} s", wait.as_secs_f64()),
+    };
+    let print = |taken: &TakenBy| {
+        // A reader that has gone does not keep the telescope from being closed.
+        let _ = match taken {
+            TakenBy::Observatory => line(format_args!("accepted{until}")),
+            TakenBy::Domes(domes) => {
+                let domes: Vec<String> = domes.iter().map(ToString::to_string).collect();
+                let domes = domes.join(", ");
+                foreign_line(format_args!(
+                    "no observatory node of {address} answers: the device node of {domes} was ordered to close{until}"
+                ))
+            }
+        };
+    };
+    let taken = match orders::close(bus, &follower, order, wait, print).await {
+        Ok(taken) => taken,
+        Err(NotDone::NotAccepted(error)) if error.is_silence() => {
+            return Err(telescopes::unanswered(address, bus, join).await);
+        }
+        Err(NotDone::NotAccepted(error)) => return Err(refused(&error)),
+        Err(NotDone::NotClosed(error)) => return Err(error.into()),
+    };
+    if !wait.is_zero() {
+        line(format_args!("{}", taken.closed_words()))?;
+    }
+    match taken.warning() {
+        Some(warning) if matches!(order.kind, OrderKind::Close) => line(format_args!("but {warning}")),
+        Some(warning) => bail!("it was only closed, and nothing else was ordered: {warning}"),
+        None => Ok(()),
+    }
 }
 
 /// Prints the operator who ordered that the telescope stays closed, if there is such an order: a start opens nothing
@@ -186,7 +229,7 @@ async fn print_hold(bus: &bus::Bus, address: &Address) -> anyhow::Result<()> {
                 "it stays closed all the same: {} ordered so at {} ({reason}). `starmesh order {address} open-again` takes that back, \
                  and then it opens",
                 operator(&hold.from),
-                hold.at_utc
+                hold.at_utc.to_second()
             ))?;
         }
     }

@@ -109,7 +109,7 @@ pub async fn run(command: ScheduleCommand) -> anyhow::Result<()> {
 /// answer, which the order then reports.
 async fn findings(put: &Put, text: &str) -> anyhow::Result<Option<ScheduleFindings>> {
     let bus = put.join.open().await?;
-    let address = telescopes::read(&put.telescope, &bus).await?;
+    let address = telescopes::read(&put.telescope, &bus, &put.join).await?;
     let (key, draft) = (Key::ScheduleCheck(address), ScheduleDraft { text: text.to_owned() });
     let mut found = None;
     for _ in 0..ASKED {
@@ -131,7 +131,7 @@ async fn findings(put: &Put, text: &str) -> anyhow::Result<Option<ScheduleFindin
 /// The rows of the schedule in force, as the observatory node publishes them.
 async fn show_rows(rows: Rows) -> anyhow::Result<()> {
     let bus = rows.join.open().await?;
-    let address = telescopes::read(&rows.telescope, &bus).await?;
+    let address = telescopes::read(&rows.telescope, &bus, &rows.join).await?;
     let key = Key::Observatory(address.clone(), Part::Schedule).to_string();
     let mut found = None;
     for _ in 0..TRIES {
@@ -141,7 +141,7 @@ async fn show_rows(rows: Rows) -> anyhow::Result<()> {
         }
         tokio::time::sleep(Duration::from_millis(300)).await;
     }
-    let Some((_, sample)) = found else { return Err(telescopes::unanswered(&address, &bus).await) };
+    let Some((_, sample)) = found else { return Err(telescopes::unanswered(&address, &bus, &rows.join).await) };
     bus.close().await;
     for text in row_lines(&sample.body) {
         foreign_line(format_args!("{text}"))?;
@@ -197,7 +197,7 @@ fn status_word(status: RowStatus) -> &'static str {
 
 fn list(versions: &Versions) -> anyhow::Result<()> {
     for stored in versions.list().context("the versions cannot be read")? {
-        let (version, at_utc, author, rows) = (stored.version, stored.at_utc, stored.author, stored.rows);
+        let (version, at_utc, author, rows) = (stored.version, stored.at_utc.to_second(), stored.author, stored.rows);
         foreign_line(format_args!("{version:6}  {at_utc}  {rows:5} rows  {author}  {}", stored.reason))?;
     }
     Ok(())

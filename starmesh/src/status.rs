@@ -3,14 +3,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
+use bus::{Bus, Catch, Subscriber};
 use clap::Args;
-use contract::command::operator;
+use contract::device::dome::{self, Shutter};
 use contract::node::NodeState;
 use contract::observatory::{
-    Alert, Alerts, NightState, OperatorOrders, Posture, RowState, RowStatus, SafetyState, ScheduleState, Unsafe,
-    Verdict,
+    Alert, Alerts, NightState, OperatorOrders, Posture, SafetyState, ScheduleState, Unsafe, Verdict, merge,
 };
-use contract::{Address, Key, NodeTopic, Part, Topic};
+use contract::{Address, Device, DeviceState, Key, Kind, NodeTopic, Part, Role, Stamped, Topic};
+use overview::{DomeView, PublishedGuard, Seen, length};
 use units::Utc;
 
 use crate::console::{foreign_line, line};
@@ -29,6 +30,9 @@ pub struct Options {
     join: Join,
 }
 
+/// An observatory node publishes its night and its verdict each second; what it has held for longer says that it hangs.
+const STALE_S: f64 = 5.0;
+
 /// The states that one telescope published.
 #[derive(Default)]
 struct Status {
@@ -37,114 +41,211 @@ struct Status {
     at: Option<Utc>,
     safety: Option<SafetyState>,
     schedule: Option<ScheduleState>,
-    /// The active alerts, the most urgent first.
-    alerts: Vec<Alert>,
+    orders: Option<OperatorOrders>,
+    /// The alerts that its observatory node merges; the most urgent first.
+    merged: Vec<Alert>,
+    /// The alerts of each of its nodes.
+    own: Vec<Alert>,
     /// Its nodes that answer, of whatever role.
-    nodes: BTreeSet<String>,
-    /// The operator who has taken it over, if there is one.
-    held: Option<String>,
-    /// The operator who ordered that it stays closed, if there is such an order.
-    stay_closed: Option<String>,
+    nodes: BTreeSet<(Role, String)>,
+    /// When its observatory node last published, where that hangs.
+    stale_utc: Option<Utc>,
+    /// Sky seconds per machine second.
+    speed: Option<f64>,
 }
 
-/// Asks all observatory nodes and prints the table.
+/// The states that the whole bus published.
+#[derive(Default)]
+struct Found {
+    telescopes: BTreeMap<Address, Status>,
+    /// The shutter of each dome, where its device node reads it.
+    domes: BTreeMap<Device, Option<Shutter>>,
+    /// The newest sample of each guard; guards answer no question.
+    guards: BTreeMap<Device, Stamped<dome::Guard>>,
+}
+
+/// Asks all nodes and prints the table.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     anyhow::ensure!(options.seconds.is_finite(), "--seconds {}: expected 0.5 to 60", options.seconds);
     let bus = options.join.open().await?;
+    let guards = bus.subscribe::<dome::Guard>(Topic::Guard.everywhere(), Catch::Newest, 256).await?;
     let until = Instant::now() + Duration::from_secs_f64(options.seconds.clamp(0.5, 60.0));
-    let mut telescopes: BTreeMap<Address, Status> = BTreeMap::new();
+    let mut found = Found::default();
     // Peers are found one after another: the command asks until the time is up or an answer brings nothing new.
     let mut known = 0;
     while Instant::now() < until {
-        ask(&bus, &mut telescopes).await;
-        let all_report = telescopes.values().all(|status| status.night.is_some());
-        if all_report && !telescopes.is_empty() && telescopes.len() == known {
+        found.ask(&bus).await;
+        if !found.telescopes.is_empty() && found.telescopes.len() == known && found.all_report() {
             break;
         }
-        known = telescopes.len();
-        tokio::time::sleep(Duration::from_millis(300)).await;
+        known = found.telescopes.len();
+        found.listen(&guards, Duration::from_millis(300)).await;
     }
     bus.close().await;
-    if telescopes.is_empty() {
-        anyhow::bail!(
-            "no telescope answered on the bus within {} s; is a node running, and is it reachable by multicast or --connect?",
-            options.seconds
-        );
+    found.add_telescopes_of_guards();
+    if found.telescopes.keys().all(is_shared) {
+        anyhow::bail!("no telescope answered within {} s; {}", options.seconds, options.join.tried());
     }
     line(format_args!(
         "{:28} {:8} {:9} {:8} {:14} {:>6}  NOW",
         "TELESCOPE", "SAFETY", "POSTURE", "MODE", "SKY", "ALERTS"
     ))?;
-    for (address, status) in &telescopes {
-        for text in status.lines(address) {
+    for (address, status) in &found.telescopes {
+        for text in status.lines(address, &found.domes_over(address), &found.of_shared(address)) {
             foreign_line(format_args!("{text}"))?;
         }
     }
     Ok(())
 }
 
-async fn ask(bus: &bus::Bus, telescopes: &mut BTreeMap<Address, Status>) {
-    let timeout = Duration::from_secs(1);
-    let part = |part| Topic::Observatory(part).everywhere();
-    // A telescope whose observatory node is dead or hangs is the one that must not be absent here.
-    let nodes = Topic::Node(NodeTopic::State).everywhere();
-    for (key, _) in bus.get_all::<NodeState>(nodes, timeout).await {
-        if let Key::Node(address, role, id, _) = &key
-            && address.telescope.as_str() != Address::SHARED
-        {
-            telescopes.entry(address.clone()).or_default().nodes.insert(format!("{}/{id}", role.word()));
+impl Found {
+    fn at(&mut self, key: &Key) -> &mut Status {
+        self.telescopes.entry(key.address().clone()).or_default()
+    }
+
+    /// Has every telescope an observatory node that publishes?
+    fn all_report(&self) -> bool {
+        let mut telescopes = self.telescopes.iter().filter(|(address, _)| !is_shared(address));
+        telescopes.all(|(_, status)| status.night.is_some())
+    }
+
+    /// Asks for all states at once: a node that hangs costs the time of one question.
+    async fn ask(&mut self, bus: &Bus) {
+        let timeout = Duration::from_secs(1);
+        let part = |part| Topic::Observatory(part).everywhere();
+        let (nodes, own, domes) = (
+            Topic::Node(NodeTopic::State).everywhere(),
+            Topic::Node(NodeTopic::Alerts).everywhere(),
+            Topic::State.everywhere().of_kind(Kind::Dome),
+        );
+        let (nodes, own, domes, nights, verdicts, schedules, orders, alerts) = tokio::join!(
+            bus.get_all::<NodeState>(nodes, timeout),
+            bus.get_all::<Alerts>(own, timeout),
+            bus.get_all::<DeviceState<dome::Fields>>(domes, timeout),
+            bus.get_all::<NightState>(part(Part::Night), timeout),
+            bus.get_all::<SafetyState>(part(Part::Safety), timeout),
+            bus.get_all::<ScheduleState>(part(Part::Schedule), timeout),
+            bus.get_all::<OperatorOrders>(part(Part::OperatorOrders), timeout),
+            bus.get_all::<Alerts>(part(Part::Alerts), timeout),
+        );
+        for (key, sample) in nodes {
+            let Key::Node(_, role, id, _) = &key else { continue };
+            let node = (*role, id.to_string());
+            let status = self.at(&key);
+            status.nodes.insert(node);
+            status.speed = Some(sample.body.speed);
+        }
+        self.telescopes.values_mut().for_each(|status| status.own.clear());
+        for (key, sample) in own {
+            self.at(&key).own.extend(sample.body.alerts);
+        }
+        for (key, sample) in domes {
+            let Key::State(dome) = key else { continue };
+            self.domes.insert(dome, ::orders::domes::shutter(&sample.body, sample.held_s));
+        }
+        for (key, sample) in nights {
+            let (status, is_stale) = (self.at(&key), sample.held_s.unwrap_or(0.0) > STALE_S);
+            status.stale_utc = is_stale.then_some(sample.at_utc);
+            (status.at, status.night) = (Some(sample.at_utc), Some(sample.body).filter(|_| !is_stale));
+        }
+        for (key, sample) in verdicts {
+            let is_stale = sample.held_s.unwrap_or(0.0) > STALE_S;
+            self.at(&key).safety = Some(sample.body).filter(|_| !is_stale);
+        }
+        for (key, sample) in schedules {
+            self.at(&key).schedule = Some(sample.body);
+        }
+        for (key, sample) in orders {
+            self.at(&key).orders = Some(sample.body);
+        }
+        for (key, sample) in alerts {
+            self.at(&key).merged = sample.body.alerts;
+        }
+        // A telescope of which only the dome answers is not left out.
+        let addresses: Vec<Address> = self.domes.keys().map(|dome| dome.address.clone()).collect();
+        for address in addresses {
+            self.telescopes.entry(address).or_default();
         }
     }
-    for (key, sample) in bus.get_all::<NightState>(part(Part::Night), timeout).await {
-        let status = telescopes.entry(key.address().clone()).or_default();
-        status.at = Some(sample.at_utc);
-        status.night = Some(sample.body);
+
+    /// Takes what guards publish for so long.
+    async fn listen(&mut self, guards: &Subscriber<dome::Guard>, time: Duration) {
+        let listening = async {
+            loop {
+                let received = guards.recv().await;
+                if let Key::Guard(dome) = received.key {
+                    self.guards.insert(dome, received.sample);
+                }
+            }
+        };
+        // It ends by the time alone.
+        let _: Result<(), _> = tokio::time::timeout(time, listening).await;
     }
-    for (key, sample) in bus.get_all::<SafetyState>(part(Part::Safety), timeout).await {
-        telescopes.entry(key.address().clone()).or_default().safety = Some(sample.body);
-    }
-    for (key, sample) in bus.get_all::<ScheduleState>(part(Part::Schedule), timeout).await {
-        telescopes.entry(key.address().clone()).or_default().schedule = Some(sample.body);
-    }
-    for (key, sample) in bus.get_all::<OperatorOrders>(part(Part::OperatorOrders), timeout).await {
-        let because = |why: &str| if why.is_empty() { String::new() } else { format!(": {why}") };
-        if let Some(closed) = sample.body.stay_closed {
-            let (name, why) = (operator(&closed.from), because(&closed.reason));
-            let status = telescopes.entry(key.address().clone()).or_default();
-            status.stay_closed = Some(format!("{name} ordered at {} that it stays closed{why}", closed.at_utc));
-        }
-        if let Some(held) = sample.body.control {
-            let why = because(&held.reason);
-            let status = telescopes.entry(key.address().clone()).or_default();
-            status.held = Some(format!("{} has it since {}{why}", operator(&held.from), held.at_utc));
-        }
-    }
-    for (key, sample) in bus.get_all::<Alerts>(part(Part::Alerts), timeout).await {
-        if matches!(key, Key::Observatory(..)) {
-            telescopes.entry(key.address().clone()).or_default().alerts = sample.body.alerts;
+
+    /// A telescope of which only the guard of a dome knows is not left out.
+    fn add_telescopes_of_guards(&mut self) {
+        for (dome, sample) in &self.guards {
+            let permits = sample.body.permits.iter().map(|permit| permit.telescope.as_str());
+            let granted = sample.body.granted.iter().map(|granted| granted.telescope.as_str());
+            let named = permits.chain(granted).filter_map(|name| Address::new(dome.address.site.as_str(), name).ok());
+            for address in named {
+                self.telescopes.entry(address).or_default();
+            }
         }
     }
+
+    /// The domes over a telescope.
+    fn domes_over(&self, address: &Address) -> Vec<DomeView> {
+        let domes: BTreeSet<&Device> = self.domes.keys().chain(self.guards.keys()).collect();
+        let views = domes.into_iter().map(|dome| {
+            let speed = self.telescopes.get(&dome.address).and_then(|status| status.speed).unwrap_or(1.0);
+            let guard = self.guards.get(dome);
+            DomeView {
+                dome: dome.clone(),
+                shutter: self.domes.get(dome).copied().flatten(),
+                guard: guard.map(|sample| PublishedGuard { guard: sample.body.clone(), at_utc: sample.at_utc, speed }),
+            }
+        });
+        views.filter(|view| view.is_over(address)).collect()
+    }
+
+    /// The alerts of the nodes that the telescopes of a site share.
+    fn of_shared(&self, address: &Address) -> Vec<Alert> {
+        self.telescopes.get(&address.shared()).map(|status| status.own.clone()).unwrap_or_default()
+    }
+}
+
+fn is_shared(address: &Address) -> bool {
+    address.telescope.as_str() == Address::SHARED
 }
 
 impl Status {
     /// The telescope's line of the table, and a line for each reason.
-    fn lines(&self, address: &Address) -> Vec<String> {
-        let safety = self.safety.as_ref().map_or("-", |safety| match safety.verdict {
+    fn lines(&self, address: &Address, domes: &[DomeView], of_shared: &[Alert]) -> Vec<String> {
+        if is_shared(address) {
+            return Vec::new();
+        }
+        let safety = self.safety.as_ref().map_or("UNKNOWN", |safety| match safety.verdict {
             Verdict::Safe => "SAFE",
             Verdict::Unsafe => "UNSAFE",
         });
         let night = self.night.as_ref();
-        let posture = night.map_or("-", |night| posture_word(night.posture));
+        let posture = night.map(|night| night.posture);
+        let posture = posture.or_else(|| Posture::least_closed(domes.iter().map(DomeView::posture)));
+        let posture = posture.unwrap_or(Posture::Unknown).word().to_uppercase();
         let mode = night.map_or("-", |night| if night.robotic { "ROBOTIC" } else { "MANUAL" });
         let sky = night.map_or_else(|| "-".to_owned(), sky_word);
-        let (alerts, now) = (self.alerts.len(), self.now(address));
-        let now = match &self.held {
-            Some(held) if now.is_empty() => held.clone(),
-            Some(held) => format!("{held}; {now}"),
-            None => now,
-        };
-        let head = format!("{:28} {safety:8} {posture:9} {mode:8} {sky:14} {alerts:>6}  {now}", address.to_string());
+        let alerts = self.alerts(domes, of_shared);
+        let count = alerts.len();
+        let now = self.now(address, domes);
+        let head = format!("{:28} {safety:8} {posture:9} {mode:8} {sky:14} {count:>6}  {now}", address.to_string());
         let mut lines = vec![head.trim_end().to_owned()];
+        if night.is_none() {
+            lines.extend(domes.iter().map(|dome| format!("    {}", dome.words())));
+            let nodes: Vec<String> = self.nodes.iter().map(|(role, id)| format!("{role}/{id}")).collect();
+            let nodes = if nodes.is_empty() { "none".to_owned() } else { nodes.join(", ") };
+            lines.push(format!("    nodes of this telescope that answer: {nodes}"));
+        }
         if let Some(safety) = &self.safety {
             let of = |what: &'static str, reasons: &[Unsafe]| {
                 reasons.iter().map(|reason| format!("    {what}: {}", reason_words(reason))).collect::<Vec<_>>()
@@ -160,8 +261,8 @@ impl Status {
                 lines.push(all);
             }
         }
-        lines.extend(self.alerts.iter().take(MOST_ALERTS).map(alert_words));
-        if let Some(more) = alerts.checked_sub(MOST_ALERTS).filter(|more| *more > 0) {
+        lines.extend(alerts.iter().take(MOST_ALERTS).map(alert_words));
+        if let Some(more) = count.checked_sub(MOST_ALERTS).filter(|more| *more > 0) {
             lines.push(format!(
                 "    {more} more alerts: starmesh tail '{}'",
                 Key::Observatory(address.clone(), Part::Alerts)
@@ -170,51 +271,32 @@ impl Status {
         lines
     }
 
-    /// Its activity, or the reason why it waits.
-    fn now(&self, address: &Address) -> String {
-        let Some(night) = &self.night else {
-            let nodes: Vec<&str> = self.nodes.iter().map(String::as_str).collect();
-            return format!("NO OBSERVATORY NODE ANSWERS; of this telescope there answer: {}", nodes.join(", "));
+    /// The list of the observatory node, which has what people did about each; where that node is silent, those of the
+    /// nodes themselves, and of a dome that the site shares.
+    fn alerts(&self, domes: &[DomeView], of_shared: &[Alert]) -> Vec<Alert> {
+        if self.night.is_some() {
+            return self.merged.clone();
+        }
+        let is_about =
+            |alert: &&Alert, dome: &DomeView| alert.id.split('/').any(|part| part == dome.dome.name.as_str());
+        let shared = of_shared.iter().filter(|alert| domes.iter().any(|dome| is_about(alert, dome)));
+        let all = self.merged.iter().chain(&self.own).chain(shared).cloned().collect();
+        merge(std::iter::once(Alerts { alerts: all, ..Alerts::default() })).alerts
+    }
+
+    /// Its activity, or the present reason why it waits.
+    fn now(&self, address: &Address, domes: &[DomeView]) -> String {
+        let renewed = domes.iter().filter_map(|dome| dome.renewed(address)).max();
+        let seen = Seen {
+            address,
+            now: self.at,
+            night: self.night.as_ref(),
+            safety: self.safety.as_ref(),
+            schedule: self.schedule.as_ref(),
+            orders: self.orders.as_ref(),
+            silent_since: self.stale_utc.or(renewed),
         };
-        if !night.actions.is_empty() {
-            let actions = night.actions.iter().map(|action| {
-                let object = action.object.as_ref().map(|object| format!(" {object}")).unwrap_or_default();
-                format!("{}{object}: {}", action.action, action.step)
-            });
-            return actions.collect::<Vec<_>>().join("; ");
-        }
-        if let Some(closed) = &self.stay_closed {
-            return format!("{closed}: starmesh order {address} open-again");
-        }
-        if !night.robotic {
-            return format!("waits for a person: starmesh order {address} start");
-        }
-        let Some(schedule) = &self.schedule else { return String::new() };
-        let waits = |row: &&RowState| matches!(row.status, RowStatus::Pending | RowStatus::Interrupted);
-        let now = self.at;
-        let mut rows: Vec<&RowState> = schedule.rows.iter().filter(waits).collect();
-        rows.retain(|row| now.is_none_or(|now| row.end_utc > now));
-        let open = rows.iter().find(|row| now.is_some_and(|now| row.start_utc <= now));
-        let Some(row) = open.or_else(|| rows.iter().min_by_key(|row| row.start_utc)) else {
-            return match (&schedule.refused, schedule.rows.is_empty()) {
-                (Some(_), true) => "the schedule was refused: see the alerts".to_owned(),
-                (None, true) => "waits for a schedule".to_owned(),
-                _ => "waits for a new schedule: no row of this one is left".to_owned(),
-            };
-        };
-        let object = row.object.as_ref().map(|object| format!(" {object}")).unwrap_or_default();
-        let what = format!("row {}, {}{object}", row.row, row.action);
-        match now.filter(|now| row.start_utc > *now) {
-            Some(now) => {
-                let left = length(row.start_utc.seconds_since(now));
-                format!("waits for {what}, which starts at {} (in {left})", clock(row.start_utc))
-            }
-            None if !row.detail.is_empty() => format!("{what} waits: {}", row.detail),
-            None if self.safety.as_ref().is_some_and(|safety| safety.verdict == Verdict::Unsafe) => {
-                format!("{what} waits for a safe sky")
-            }
-            None => format!("about to begin {what}"),
-        }
+        seen.now()
     }
 }
 
@@ -243,33 +325,9 @@ fn sky_word(night: &NightState) -> String {
     }
 }
 
-fn clock(at: Utc) -> String {
-    at.strftime("%m-%d %H:%M:%S UTC")
-}
-
-/// A length of sky time in words.
-pub fn length(span_s: f64) -> String {
-    match span_s.max(0.0) {
-        s if s < 120.0 => format!("{s:.0} s"),
-        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
-        s if s < 172_800.0 => format!("{:.1} h", s / 3600.0),
-        s => format!("{:.1} days", s / 86_400.0),
-    }
-}
-
-/// The word of operators for a posture.
-pub fn posture_word(posture: Posture) -> &'static str {
-    match posture {
-        Posture::Closed => "CLOSED",
-        Posture::Opening => "OPENING",
-        Posture::Open => "OPEN",
-        Posture::Closing => "CLOSING",
-        Posture::Unknown => "UNKNOWN",
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use contract::device::dome::GuardAction;
     use contract::observatory::AlertKind;
 
     use super::*;
@@ -282,10 +340,8 @@ mod tests {
             schedule: Some(
                 serde_json::from_str(&format!(r#"{{"file": "s", "revision": 1, "rows": [{rows}]}}"#)).unwrap(),
             ),
-            alerts: vec![AlertKind::DomeNotClosed.alert("dome", Utc::from_seconds(1.0), "it says open")],
-            nodes: BTreeSet::new(),
-            held: None,
-            stay_closed: None,
+            merged: vec![AlertKind::DomeNotClosed.alert("dome", Utc::from_seconds(1.0), "it says open")],
+            ..Status::default()
         }
     }
 
@@ -293,62 +349,65 @@ mod tests {
         {"input": "wx/Humidity", "why": "91 is above 80"},
         {"input": "wx/WindSpeed", "why": "good for 3.0 of 15.0 min", "clears_in_s": 720}]}"#;
     const SAFE: &str = r#"{"verdict": "safe", "since_utc": "2026-11-21T01:00:00Z", "inputs": [], "reasons": []}"#;
-    const ROW: &str = r#"{"row": 2, "action": "object", "camera": "main", "object": "M42", "start_utc": "START",
+    const ROW: &str = r#"{"row": 2, "action": "object", "camera": "main", "object": "M42", "start_utc": "2026-11-21T01:00:00Z",
         "end_utc": "2026-11-21T05:00:00Z", "status": "pending", "frames": 0}"#;
-
-    fn night(robotic: bool) -> String {
-        format!(
-            r#"{{"robotic": {robotic}, "posture": "closed", "actions": [], "frames": 0, "open_s": 0, "speed": 60,
-                "simulated": true, "ended": false}}"#
-        )
-    }
+    const NIGHT: &str = r#"{"robotic": true, "posture": "closed", "actions": [], "frames": 0, "open_s": 0, "speed": 60,
+        "simulated": true, "ended": false}"#;
 
     #[test]
     fn every_reason_stands_there_with_the_time_at_which_it_can_clear() {
         let address = Address::new("paranal", "io").unwrap();
-        let lines = shown(&night(true), UNSAFE, &ROW.replace("START", "2026-11-21T01:00:00Z")).lines(&address);
-        assert!(lines[0].contains("UNSAFE") && lines[0].contains("ROBOTIC  simulated x60"), "{lines:#?}");
-        assert!(lines[0].ends_with("row 2, object M42 waits for a safe sky"), "{lines:#?}");
+        let lines = shown(NIGHT, UNSAFE, ROW).lines(&address, &[], &[]);
+        assert!(lines[0].contains("UNSAFE   CLOSED    ROBOTIC  simulated x60"), "{lines:#?}");
+        assert!(
+            lines[0].ends_with("row 2, object M42 waits for a safe sky: wx/Humidity: 91 is above 80"),
+            "{lines:#?}"
+        );
         assert_eq!(lines[1], "    not safe: wx/Humidity: 91 is above 80; when it clears cannot be known");
         assert_eq!(lines[2], "    not safe: wx/WindSpeed: good for 3.0 of 15.0 min; can clear in 12 min");
         assert_eq!(lines[3], "    when it will be safe again cannot be known yet");
-        assert!(lines[4].starts_with("    CRITICAL dome-not-closed/dome: it says open; "), "{lines:#?}");
-        let six =
-            Status { alerts: vec![shown(&night(true), SAFE, "").alerts.remove(0); 7], ..shown(&night(true), SAFE, "") };
-        let last = six.lines(&address).pop().unwrap();
+        assert!(lines[4].starts_with("    critical dome-not-closed/dome: it says open; "), "{lines:#?}");
+        let seven = Status { merged: vec![shown(NIGHT, SAFE, "").merged.remove(0); 7], ..shown(NIGHT, SAFE, "") };
+        let last = seven.lines(&address, &[], &[]).pop().unwrap();
         let alerts = Key::Observatory(address, Part::Alerts);
         assert_eq!(last, format!("    2 more alerts: starmesh tail '{alerts}'"));
     }
 
     #[test]
-    fn a_telescope_whose_observatory_node_is_silent_is_not_left_out() {
-        let nodes = ["device/main", "archive/main"].map(str::to_owned).into();
-        let lines = Status { nodes, ..Status::default() }.lines(&Address::new("paranal", "europa").unwrap());
-        assert!(lines[0].starts_with("paranal/europa               -        -"), "{lines:#?}");
+    fn a_telescope_whose_observatory_node_is_silent_is_seen_by_what_its_other_nodes_know() {
+        let europa = Address::new("paranal", "europa").unwrap();
+        let sample = include_str!("../../common/contract/golden/v1/dome.guard.json");
+        let mut guard: dome::Guard = serde_json::from_str(&sample.replace("callisto", "europa")).unwrap();
+        (guard.permits[0].left_s, guard.may_be_open, guard.action) = (-24.0, false, GuardAction::Closing);
+        let at_utc = "2026-11-21T03:12:45Z".parse().unwrap();
+        let guard = Some(PublishedGuard { guard, at_utc, speed: 1.0 });
+        let dome = europa.shared().device(Kind::Dome, &"roof".parse().unwrap());
+        let domes = [DomeView { dome, shutter: Some(Shutter::Error), guard }];
+        let at = |second| Utc::from_seconds(second);
+        let status = Status {
+            nodes: [(Role::Device, "main".to_owned()), (Role::Archive, "main".to_owned())].into(),
+            own: vec![AlertKind::CoolingFailed.alert("cam", at(2.0), "warm")],
+            ..Status::default()
+        };
+        let shared = [
+            AlertKind::DomeNotClosed.alert("roof", at(1.0), "it is half open"),
+            AlertKind::DomeNotClosed.alert("another", at(1.0), "of other telescopes"),
+        ];
+        let lines = status.lines(&europa, &domes, &shared);
+        assert!(lines[0].starts_with("paranal/europa               UNKNOWN  UNKNOWN   -        -"), "{lines:#?}");
         assert!(
-            lines[0]
-                .ends_with("NO OBSERVATORY NODE ANSWERS; of this telescope there answer: archive/main, device/main")
+            lines[0].contains("     2  the observatory node is silent since 03:12:11 UTC, so safety is unknown"),
+            "{lines:#?}"
         );
-    }
-
-    #[test]
-    fn between_rows_it_prints_what_is_waited_for() {
-        let address = Address::new("paranal", "io").unwrap();
-        let later = ROW.replace("START", "2026-11-21T02:30:00Z");
-        let now = |night: &str, safety: &str, rows: &str| shown(night, safety, rows).now(&address);
-        assert_eq!(
-            now(&night(true), SAFE, &later),
-            "waits for row 2, object M42, which starts at 11-21 02:30:00 UTC (in 30 min)"
+        assert!(
+            lines[1].starts_with("    dome roof: shutter in error, it may be half open, not verified closed"),
+            "{lines:#?}"
         );
-        assert_eq!(now(&night(false), SAFE, &later), "waits for a person: starmesh order paranal/io start");
-        let closed = Status { stay_closed: Some("ana ordered it".to_owned()), ..shown(&night(false), UNSAFE, &later) };
-        assert_eq!(closed.now(&address), "ana ordered it: starmesh order paranal/io open-again");
-        assert_eq!(now(&night(true), SAFE, ""), "waits for a schedule");
-        let done = later.replace("pending", "finished");
-        assert_eq!(now(&night(true), SAFE, &done), "waits for a new schedule: no row of this one is left");
-        let rests = ROW
-            .replace("START", "2026-11-21T01:00:00Z")
-            .replace("\"frames\": 0", "\"frames\": 0, \"detail\": \"rests\"");
-        assert_eq!(now(&night(true), SAFE, &rests), "row 2, object M42 waits: rests");
+        assert!(
+            lines[1].contains("its guard closes it now") && lines[1].contains("its own watchdog (120 s)"),
+            "{lines:#?}"
+        );
+        assert_eq!(lines[2], "    nodes of this telescope that answer: device/main, archive/main");
+        assert!(lines[3].contains("dome-not-closed/roof") && lines[4].contains("cooling-failed/cam"), "{lines:#?}");
     }
 }

@@ -13,6 +13,7 @@ use tokio::task::JoinSet;
 use crate::bus_address;
 use crate::left::Left;
 use crate::reports::Reports;
+use crate::running;
 use crate::supervise::NodeProcess;
 
 /// How often the command prints what it waits for.
@@ -62,6 +63,9 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
             tokio::time::sleep(Duration::from_secs(5)).await;
         }
     });
+    let here = bus_address::on_this_host(&bus).await;
+    let folder = options.file.parent().unwrap_or(std::path::Path::new("."));
+    let _running = here.map(|here| running::announce("up", &config.address(), &here, folder));
     let node = |role, id: &str| NodeProcess {
         role,
         id: id.to_owned(),

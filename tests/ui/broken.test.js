@@ -25,7 +25,7 @@ const summary = (telescope, change = {}) => ({
   id: `paranal/${telescope}`, site_id: "paranal", telescope_id: telescope, shared: false, quality: "fresh",
   safety: { state: "safe", since_utc: "2026-11-22T03:00:00Z", reasons: [], suspended: [], advisories: [] },
   posture: "open", mode: "robotic", simulated: false, speed: 1, ended: false, activity: [], frames: 3, alerts: [],
-  alert_counts: { p1: 0, p2: 0, p3: 0, p4: 0 }, figures: {}, device_count: { known: 1, lost: 0 }, node_count: { known: 4, lost: 0 },
+  alert_counts: { critical: 0, high: 0, medium: 0, advisory: 0 }, now: "nothing under way", posture_by: "observatory", domes: [], figures: {}, device_count: { known: 1, lost: 0 }, node_count: { known: 4, lost: 0 },
   age_s: 0.1, image_age_s: null, reported_utc: "2026-11-22T03:00:00Z", ...change,
 });
 const says = (op, more) => JSON.stringify({ op, at_utc: new Date().toISOString(), data: { speed: 1 }, ...more });

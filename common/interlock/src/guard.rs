@@ -465,6 +465,7 @@ impl Guard {
             dropped: self.permits.dropped() + malformed,
             verified_closed: Some(self.evidence.is_credible(now, FRESH)),
             waits_for_mounts: Some(self.closes_by_itself()),
+            watchdog_s: None,
             granted,
         }
     }

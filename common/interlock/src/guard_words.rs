@@ -126,6 +126,7 @@ mod tests {
             dropped: 0,
             verified_closed: Some(false),
             waits_for_mounts: Some(true),
+            watchdog_s: None,
             granted: vec![GrantedToken { telescope: "alpha".to_owned(), token }],
         }
     }

@@ -60,6 +60,7 @@ mod tests {
             dropped: 0,
             verified_closed: None,
             waits_for_mounts: None,
+            watchdog_s: None,
             granted: vec![GrantedToken { telescope: "alpha".to_owned(), token }],
         };
         (BootId::fresh(), guard)

@@ -41,6 +41,7 @@ fn guard(number: u64, token: u64) -> Guard {
         dropped: 0,
         verified_closed: None,
         waits_for_mounts: None,
+        watchdog_s: None,
         granted: vec![GrantedToken { telescope: ALPHA.to_owned(), token }],
     }
 }

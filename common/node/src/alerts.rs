@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use bus::Clock;
 use contract::observatory::{AlertKind, Alerts, Notification};
-use contract::printable;
+use contract::{Address, printable};
 use tokio::sync::{Notify, watch};
 
 use crate::alert_states::{AlertStates, seconds};
@@ -21,13 +21,21 @@ pub struct NodeAlerts {
     published: Arc<watch::Sender<Alerts>>,
     changed: Arc<Notify>,
     clock: Clock,
+    /// The telescope that the texts name.
+    address: Option<Address>,
 }
 
 impl NodeAlerts {
     /// No alerts.
     pub fn new(clock: Clock) -> Self {
         let shown = Arc::new(watch::channel(Alerts::default()).0);
-        Self { states: Arc::default(), notifications: Arc::default(), published: shown, changed: Arc::default(), clock }
+        let (states, notifications, changed) = Default::default();
+        Self { states, notifications, published: shown, changed, clock, address: None }
+    }
+
+    /// With the telescope in the texts about what a person should do.
+    pub fn of(self, address: Address) -> Self {
+        Self { address: Some(address), ..self }
     }
 
     /// Raises an alert; one that is active already keeps its time and takes the new cause. `instance` distinguishes
@@ -45,6 +53,7 @@ impl NodeAlerts {
         // A cause holds what servers answered and schedules say.
         let cause = &*printable(cause);
         let alert = kind.alert(instance, self.clock.utc(), cause);
+        let alert = if let Some(address) = &self.address { alert.at(address) } else { alert };
         let mut states = self.states();
         let (id, priority) = (alert.id.clone(), alert.priority);
         if states.raise(on_delay, alert, self.clock.machine()) {

@@ -49,7 +49,7 @@ const LEAVES: Duration = Duration::from_millis(300);
 impl Node {
     /// A node around a bus that is open already.
     pub fn new(role: Role, id: Name, config: Observatory, header: HeaderTable, bus: Bus) -> Self {
-        let alerts = NodeAlerts::new(bus.clock().clone());
+        let alerts = NodeAlerts::new(bus.clock().clone()).of(config.address());
         Self {
             config: Arc::new(config),
             header: Arc::new(header),

@@ -30,9 +30,9 @@ pub async fn leave_to_older(key: &Key, id: &Name, bus: &Bus, alerts: &NodeAlerts
             && received.sample.body.stopped.is_none()
         {
             let NodeState { role, host, pid, .. } = &received.sample.body;
-            let cause = format!("another {role} node with id \"{id}\" runs on host \"{host}\" as process {pid}");
+            let cause = format!("another {role} node with id \"{id}\" runs on host \"{host}\"");
             if *host == host_name() && is_older_twin(Path::new("/proc"), std::process::id(), *pid) {
-                bail!("{cause}; end it, or give this one another name with --id");
+                bail!("{cause} as process {pid}; end it, or give this one another name with --id");
             }
             foreign = Some(clock.machine());
             alerts.raise(AlertKind::Twin, "", &cause);

@@ -58,7 +58,7 @@ impl Letter {
                 AlertEvent::Returned => text.push_str("Its cause is gone, and nobody has acknowledged it.\n"),
                 AlertEvent::Cleared => {}
             }
-            let _ = writeln!(text, "Since {raised_utc}\n");
+            let _ = writeln!(text, "Since {}\n", raised_utc.to_second());
         }
         for News { event, alert } in self.news.iter().skip(MOST_IN_FULL) {
             let _ = writeln!(text, "{} {}: {}", alert.priority.word(), event.word(), printable(&alert.id));

@@ -1,18 +1,21 @@
 //! Gives a person's order to an observatory node and follows it: what the command line and the web node both do.
 //!
 //! An order that closes is done when the observatory node shows it, reports that all is closed, and no guard of its domes
-//! contradicts. An order that does more than to close is refused where it comes too late ([`RecentStates`]).
+//! contradicts. Where no observatory node answers, the device nodes of the domes close ([`close()`]), and their guards
+//! verify it. An order that does more than to close is refused where it comes too late ([`RecentStates`]).
 
+pub mod domes;
 mod recent_states;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use bus::{AskError, Bus, BusError, Catch, Subscriber};
+use bus::{AskError, Bus, BusError, Catch, MachineTime, Subscriber};
 use contract::command::Seen;
 use contract::device::dome::Guard;
 use contract::observatory::{NightState, Posture};
 use contract::{Address, CommandId, Device, Key, Order, Part, Refusal, Reply, Topic};
+use tokio::sync::watch;
 use units::Utc;
 
 pub use self::recent_states::RecentStates;
@@ -83,6 +86,131 @@ async fn newest_state(bus: &Bus, address: &Address) -> Result<Seen, NotAccepted>
     Ok(Seen { boot_id: received.sample.boot_id, seq: received.sample.seq })
 }
 
+/// An order that closes is given to an observatory node so often before its silence counts: a session that has just
+/// opened does not know all its peers.
+const TRIES: u32 = 3;
+/// The pause before an order that nobody answered is given again.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// The node that took an order that closes, or the nodes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum TakenBy {
+    /// The observatory node.
+    Observatory,
+    /// No observatory node answered: the device nodes of these domes took it, and close.
+    Domes(Vec<Device>),
+}
+
+impl TakenBy {
+    /// What has closed, for people, once it is verified.
+    pub fn closed_words(&self) -> String {
+        match self {
+            Self::Observatory => "verified closed".to_owned(),
+            Self::Domes(domes) => {
+                format!("verified closed by the guard of {}, at the command to its device node", names(domes))
+            }
+        }
+    }
+
+    /// What an order that nobody but the domes took leaves undone.
+    pub fn warning(&self) -> Option<&'static str> {
+        match self {
+            Self::Observatory => None,
+            Self::Domes(_) => Some(
+                "the observatory node did not answer and does not know of this order: when it is back, it may open again by its \
+                 schedule; order again then",
+            ),
+        }
+    }
+}
+
+fn names(domes: &[Device]) -> String {
+    let names: Vec<String> = domes.iter().map(ToString::to_string).collect();
+    names.join(", ")
+}
+
+/// Why an order that closes did not come to its end.
+#[derive(Debug, thiserror::Error)]
+pub enum NotDone {
+    /// Nobody took it.
+    #[error(transparent)]
+    NotAccepted(#[from] NotAccepted),
+    /// It was taken, and the telescope is not verified closed.
+    #[error(transparent)]
+    NotClosed(#[from] NotClosed),
+}
+
+/// Gives an order that closes, and waits until the telescope is verified closed; not at all where `within` is zero.
+///
+/// The first that answers closes: the observatory node, or where it is silent the device nodes of the domes, by their
+/// guards. The observatory node is asked on meanwhile, and closes in its own way as soon as it answers. `taken` is called
+/// with each that took the order.
+///
+/// # Errors
+/// Nobody took the order, the observatory node refuses it, or not everything is verified closed in time.
+pub async fn close(
+    bus: &Bus,
+    follower: &Follower,
+    order: &Order,
+    within: Duration,
+    mut taken: impl FnMut(&TakenBy),
+) -> Result<TakenBy, NotDone> {
+    let (address, given_utc) = (&follower.address, bus.clock().utc());
+    let (tries, mut tried) = watch::channel(0);
+    let over = loop {
+        match give(bus, address, order).await {
+            Ok(()) => {
+                taken(&TakenBy::Observatory);
+                return follower.closed_by_observatory(order, given_utc, within).await;
+            }
+            Err(error) if !error.is_silence() => return Err(error.into()),
+            Err(error) => {
+                tries.send_modify(|tries| *tries += 1);
+                let over = domes::over(bus, address).await;
+                if !over.is_empty() && domes::close(bus, &over, order).await {
+                    break over;
+                }
+                if *tries.borrow() >= TRIES {
+                    return Err(error.into());
+                }
+            }
+        }
+        tokio::time::sleep(PAUSE).await;
+    };
+    let closing = TakenBy::Domes(over.clone());
+    taken(&closing);
+    let commanded = bus.clock().machine();
+    let answers = async {
+        loop {
+            tokio::time::sleep(PAUSE).await;
+            match give(bus, address, order).await {
+                Err(error) if error.is_silence() => tries.send_modify(|tries| *tries += 1),
+                answer => return answer,
+            }
+        }
+    };
+    let closed = async {
+        let closed = match within.is_zero() {
+            true => Ok(()),
+            false => follower.until_domes_closed(&over, commanded, within).await,
+        };
+        // The sender lives as long as this function.
+        let _ = tried.wait_for(|tries| *tries >= TRIES).await;
+        closed
+    };
+    tokio::select! {
+        answer = answers => {
+            answer?;
+            taken(&TakenBy::Observatory);
+            follower.closed_by_observatory(order, given_utc, within).await
+        }
+        closed = closed => {
+            closed?;
+            Ok(closing)
+        }
+    }
+}
+
 /// Why a telescope is not verified closed after an order that closes.
 #[derive(Debug, thiserror::Error)]
 pub enum NotClosed {
@@ -100,7 +228,7 @@ pub enum NotClosed {
     #[error(
         "NOT verified closed within {} s: {address} is {}{}. The closing goes on; look at the alerts and at the dome",
         within.as_secs(),
-        posture_word(*posture),
+        posture.unwrap_or(Posture::Unknown).word(),
         if open.is_empty() { String::new() } else { format!("; not closed: {}", open.join(", ")) }
     )]
     Late {
@@ -113,10 +241,19 @@ pub enum NotClosed {
         /// The domes whose guards do not see them closed.
         open: Vec<String>,
     },
-}
-
-fn posture_word(posture: Option<Posture>) -> String {
-    posture.map_or_else(|| "unknown".to_owned(), |posture| format!("{posture:?}").to_lowercase())
+    /// The time is over, and no observatory node answers.
+    #[error(
+        "NOT verified closed within {} s: {}. No observatory node answers; the guard of each dome goes on closing. Look at the dome, \
+         and close it at its own controls",
+        within.as_secs(),
+        names(open)
+    )]
+    DomesLate {
+        /// The domes whose guards do not report them closed.
+        open: Vec<Device>,
+        /// The time that was given.
+        within: Duration,
+    },
 }
 
 /// The states of one telescope while an order is given; open it before the order, so that no effect is missed.
@@ -174,6 +311,38 @@ impl Follower {
         }
         let open = domes.into_iter().filter(|(_, closed)| !closed).map(|(dome, _)| dome).collect();
         Err(NotClosed::Late { address: self.address.clone(), within, posture, open })
+    }
+
+    async fn closed_by_observatory(&self, order: &Order, given: Utc, within: Duration) -> Result<TakenBy, NotDone> {
+        if !within.is_zero() {
+            self.until_closed(&order.id, given, within).await?;
+        }
+        Ok(TakenBy::Observatory)
+    }
+
+    /// Waits until the guard of each of these domes reports it closed, by a sample that arrived after the command.
+    async fn until_domes_closed(
+        &self,
+        domes: &[Device],
+        commanded: MachineTime,
+        within: Duration,
+    ) -> Result<(), NotClosed> {
+        let mut open: BTreeSet<Device> = domes.iter().cloned().collect();
+        let closing = async {
+            while !open.is_empty() {
+                let received = self.guards.recv().await;
+                let Key::Guard(dome) = received.key else { continue };
+                if received.arrived < commanded || !domes.contains(&dome) {
+                    continue;
+                }
+                match received.sample.body.verified_closed {
+                    Some(true) => open.remove(&dome),
+                    Some(false) | None => open.insert(dome),
+                };
+            }
+        };
+        let closed = tokio::time::timeout(within, closing).await;
+        closed.map_err(|_| NotClosed::DomesLate { open: open.into_iter().collect(), within })
     }
 
     /// Is this the guard of a dome over the telescope?

@@ -271,7 +271,7 @@ fn why_idle(events: &NightEvents, at: Utc, doing: &Doing) -> Option<Class> {
     }
     let is_active = |raised: Utc, cleared: Option<Utc>| raised <= at && cleared.is_none_or(|cleared| cleared > at);
     let mut alerts = events.alerts.iter().filter(|alert| is_active(alert.raised_utc, alert.cleared_utc));
-    if let Some(alert) = alerts.find(|alert| matches!(alert.priority.as_str(), "CRITICAL" | "high")) {
+    if let Some(alert) = alerts.find(|alert| matches!(alert.priority.as_str(), "critical" | "high")) {
         return Some(Class::new(Group::Fault, alert.id.clone()));
     }
     let detail = due.iter().map(|row| row.detail.as_str()).find(|detail| !detail.is_empty())?;

@@ -88,7 +88,7 @@ impl ActiveOrders {
         });
         let overrides = self.holding(now).map(|(input, order)| {
             let (from, reason) = (&order.ordered_by.from, &order.ordered_by.reason);
-            let cause = format!("{input} is overridden until {} by {from}: {reason}", order.until_utc);
+            let cause = format!("{input} is overridden until {} by {from}: {reason}", order.until_utc.to_second());
             (AlertKind::Override, input.to_owned(), cause)
         });
         closed.chain(overrides).collect()

@@ -1,7 +1,7 @@
 //! The objections to an action: the robotic switch, the lease, the verdict, and the direction in which the action
 //! looks.
 
-use contract::observatory::Sector;
+use contract::observatory::{RowState, Sector};
 use units::MachineTime;
 
 use crate::current_verdict::CurrentVerdict;
@@ -24,8 +24,8 @@ pub enum Objection {
 impl std::fmt::Display for Objection {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Unsafe(why) => write!(f, "not safe: {why}"),
-            Self::Suspended(why) => write!(f, "suspended: {why}"),
+            Self::Unsafe(why) => write!(f, "{}{why}", RowState::NOT_SAFE),
+            Self::Suspended(why) => write!(f, "{}{why}", RowState::SUSPENDED),
             Self::NotRobotic => f.write_str("the robotic switch is off"),
             Self::NoLease => f.write_str("this node does not command"),
             Self::Ending => f.write_str("this node was asked to end"),

@@ -90,6 +90,13 @@ impl Sequence {
         each.filter(|(_, (row, status))| waits(**status) && row.end < now).map(|(index, _)| index).collect()
     }
 
+    /// Interrupted rows that nothing stands against any more: the reason of their interruption has gone.
+    pub fn released(&self, stands_against: impl Fn(&Row) -> bool) -> Vec<usize> {
+        let each = self.rows.iter().zip(&self.statuses).enumerate();
+        let released = each.filter(|(_, (row, status))| **status == RowStatus::Interrupted && !stands_against(row));
+        released.map(|(index, _)| index).collect()
+    }
+
     /// Where a row stands.
     pub fn place_of(&self, id: &RowId) -> Option<usize> {
         self.rows.iter().position(|row| row.id == *id)

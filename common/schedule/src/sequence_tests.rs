@@ -297,3 +297,16 @@ fn a_second_camera_runs_alongside_a_parallel_row_that_has_the_mount() {
     night.check();
     assert_eq!(night.sequence.statuses(), [RowStatus::Running, RowStatus::Running, RowStatus::Pending]);
 }
+
+#[test]
+fn the_reason_of_an_interruption_goes_when_nothing_stands_against_its_row_any_more() {
+    let drawn = [one(3, false, false), one(3, true, false)];
+    let mut night = at_one();
+    night.follow(&Event::Schedule { of: vec![true, true] }, &drawn);
+    night.settle();
+    let first = night.sequence.rows()[0].id.clone();
+    assert_eq!(night.sequence.released(|_| false), [0; 0], "one row runs, the other one was never interrupted");
+    night.sequence.end(&first, RowStatus::Interrupted);
+    assert_eq!(night.sequence.released(|row| row.id == first), [0; 0], "it rains still");
+    assert_eq!(night.sequence.released(|_| false), [0]);
+}

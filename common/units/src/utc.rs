@@ -95,6 +95,16 @@ impl Utc {
         self.timestamp().to_zoned(TimeZone::UTC).strftime(pattern).to_string()
     }
 
+    /// Date and time for people, to the second: `2026-11-21 03:00:00 UTC`.
+    pub fn to_second(self) -> String {
+        self.strftime("%Y-%m-%d %H:%M:%S UTC")
+    }
+
+    /// Time of day for people, to the second: `03:00:00 UTC`.
+    pub fn time_of_day(self) -> String {
+        self.strftime("%H:%M:%S UTC")
+    }
+
     /// FITS form: ISO 8601 with milliseconds and no zone, such as `2026-11-21T03:00:00.123`.
     pub fn fits(self) -> String {
         self.strftime("%Y-%m-%dT%H:%M:%S.%3f")

@@ -3,9 +3,11 @@
 use std::time::{Duration, Instant};
 
 use bus::Catch;
+use contract::device::dome::Shutter;
 use contract::device::{dome, telescope};
 use contract::observatory::{AlertKind, Lease, Permit, Verdict};
-use contract::{Address, Key, Kind, Part, Reason};
+use contract::{Address, CommandId, Key, Kind, Order, OrderKind, Part, Reason};
+use orders::{Follower, TakenBy};
 use serde_json::json;
 use test_support::{LIMIT, until};
 use units::Utc;
@@ -179,5 +181,34 @@ async fn payloads_with_the_largest_token_end_no_lease_and_are_reported() {
     assert_eq!(hardware.puts("closeshutter").len(), before, "the real permits count");
     let again = accepted(&stage.command(Kind::Dome, "dome", &command("c7", None, dome::Command::Claim)).await);
     assert_eq!(again, Some(token + 1), "and the next lease is the next one");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_persons_order_closes_a_dome_by_its_device_node_where_no_observatory_node_answers() {
+    let hardware = a_dome().await;
+    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.2\npermit_valid_s = 6.0")).await;
+    // Somebody renews the permit, and answers no order: the guard has no reason of its own to close.
+    let (_, _commander) = open(&stage).await;
+    let before = hardware.puts("closeshutter").len();
+    let address = Address::new("site", "alpha").unwrap();
+    let follower = Follower::open(&stage.bus, &address).await.unwrap();
+    let order = Order {
+        id: CommandId::fresh(),
+        from: "cli/ana@dome-pc".to_owned(),
+        reason: String::new(),
+        kind: OrderKind::Close,
+        seen: None,
+    };
+    let mut taken = Vec::new();
+    let closed = orders::close(&stage.bus, &follower, &order, LIMIT, |by| taken.push(by.clone())).await.unwrap();
+    assert_eq!(closed, TakenBy::Domes(vec![stage.device(Kind::Dome, "dome")]));
+    assert_eq!(taken, [closed]);
+    assert!(hardware.puts("closeshutter").len() > before);
+    let state = stage.until::<dome::Dome>("dome", |state| state.fields.shutter.known() == Some(&Shutter::Closed)).await;
+    assert!(
+        state.last_command.is_some_and(|last| last.id == order.id && last.from == order.from),
+        "who closed is shown"
+    );
     stage.end().await;
 }

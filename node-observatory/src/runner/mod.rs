@@ -94,6 +94,7 @@ pub async fn keep_observing(
         if runner.tools.authority.objection(None).is_none() {
             runner.skip_passed();
             while runner.start_next() {}
+            runner.forget_gone_causes();
             runner.log_end();
         } else {
             runner.farewell = Farewell::NotYet;
@@ -208,6 +209,16 @@ impl Runner {
         let (context, techniques) = (RowContext::new(self.tools.clone(), row, number), self.techniques.clone());
         self.at_work.spawn(async move { (context.row.id.clone(), run_row(&context, &techniques, withdrawal).await) });
         true
+    }
+
+    /// Takes the reason of an interruption from the rows that nothing stands against any more.
+    fn forget_gone_causes(&self) {
+        let machine = self.tools.authority.node.bus.clock().machine();
+        let stands_against =
+            |row: &Row| self.rests.rests(&row.id, machine) || self.tools.authority.objection(Some(row)).is_some();
+        for index in self.sequence.released(stands_against) {
+            self.tools.night.at(number(index), |row| row.detail.clear());
+        }
     }
 
     fn note_end(&mut self, id: &RowId, end: RowEnd) {

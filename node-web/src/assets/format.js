@@ -84,7 +84,5 @@ export function plain(value) {
   return String(value);
 }
 
-/** Word and shape of a priority: never by colour alone. */
-export const PRIORITY = {
-  critical: ["▲", "P1", "critical"], high: ["◆", "P2", "high"], medium: ["▼", "P3", "medium"], advisory: ["●", "P4", "advisory"],
-};
+/** The shape of each priority, most urgent first: never by colour alone. */
+export const PRIORITY = { critical: "▲", high: "◆", medium: "▼", advisory: "●" };

@@ -16,7 +16,7 @@ export const Priority = ({ word, off, text }) => html`<span class=${`pri ${off ?
 
 /** Counts of active alerts, each with its shape. */
 export function Counts({ counts, cls = "" }) {
-  const shown = PRIORITIES.slice(0, 3).map((word, i) => [word, i + 1, counts?.[`p${i + 1}`] ?? 0]).filter(([, , n]) => n > 0);
+  const shown = PRIORITIES.slice(0, 3).map((word, i) => [word, i + 1, counts?.[word] ?? 0]).filter(([, , n]) => n > 0);
   return shown.map(([word, n, count]) => html`<span key=${n} class=${`ink-p${n} ${cls}`} data-testid=${`count-${word}`}><${Shape} n=${n} />${count}<span class="vh"> ${word}</span></span>`);
 }
 
@@ -28,17 +28,19 @@ export function standing(summary) {
   const fresh = age !== null && worth === "fresh";
   // Its nodes were stopped in good order: that they are silent concerns nobody, unless something is open.
   const stopped = !fresh && summary.stopped && summary.stopped.closed !== false ? summary.stopped : null;
-  const concern = stopped ? null : fresh ? summary.concern : link.value === "live" && age !== null && worth === "lost" ? summary.concern ?? 1 : null;
+  // While the observatory node is silent the server goes by the domes' own device nodes.
+  const isOfDomes = !fresh && link.value === "live" && summary.posture_by === "domes";
+  const concern = stopped ? null : fresh || isOfDomes ? summary.concern : link.value === "live" && age !== null && worth === "lost" ? summary.concern ?? "critical" : null;
   return {
     age,
     worth: age === null ? "lost" : worth,
     never: age === null,
     fresh,
     stopped,
-    concern: concern ?? null,
+    concern: concern ? priorityNumber(concern) : null,
+    domes: fresh || link.value !== "live" ? [] : summary.domes ?? [],
     safety: fresh ? summary.safety?.state ?? "unknown" : "unknown",
-    // The dome's own device node may know the posture where the observatory node is silent.
-    posture: fresh ? summary.posture : stopped?.closed ? "closed" : summary.dome?.posture ?? "unknown",
+    posture: fresh || isOfDomes ? summary.posture : stopped?.closed ? "closed" : "unknown",
     mode: fresh ? summary.mode : "unknown",
   };
 }
@@ -46,16 +48,17 @@ export function standing(summary) {
 /** The most urgent priority of a telescope as 1 to 4, or 9: its two words and its alerts. */
 export function urgency(summary, now = standing(summary)) {
   const counts = summary.alert_counts ?? {};
-  return Math.min(now.concern ?? 9, [1, 2, 3, 4].find((n) => counts[`p${n}`]) ?? 9);
+  return Math.min(now.concern ?? 9, PRIORITIES.findIndex((word) => counts[word] > 0) + 1 || 9);
 }
 
 /** Counts of a list of summaries: alerts, and telescopes whose two words are alarming without one. */
 export function totals(summaries) {
-  const sum = { p1: 0, p2: 0, p3: 0, p4: 0 };
+  const sum = { critical: 0, high: 0, medium: 0, advisory: 0 };
   for (const summary of summaries) {
     for (const priority in sum) sum[priority] += summary.alert_counts?.[priority] ?? 0;
     const { concern } = standing(summary);
-    if (concern && !summary.alert_counts?.[`p${concern}`]) sum[`p${concern}`] = (sum[`p${concern}`] ?? 0) + 1;
+    const word = PRIORITIES[concern - 1];
+    if (word && !summary.alert_counts?.[word]) sum[word] += 1;
   }
   return sum;
 }

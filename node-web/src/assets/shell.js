@@ -106,7 +106,7 @@ function worst() {
 
 /** Why a telescope whose two words are alarming is so, in one sentence. */
 export function alarm(summary, now) {
-  if (!now.fresh) return `Nothing has come from its observatory node for ${duration(now.age)}.`;
+  if (!now.fresh) return [summary.now || `Nothing has come from its observatory node for ${duration(now.age)}`, ...now.domes].join(". ");
   if (now.posture === "unknown") return "Whether its dome is closed is not known.";
   return `${now.safety.toUpperCase()} and ${String(now.posture).toUpperCase()}.`;
 }
@@ -163,7 +163,7 @@ export function Shell({ title, children }) {
     document.documentElement.dataset.link = link.value;
     document.body.dataset.link = link.value;
     const sums = totals([...net.value.values()]);
-    document.title = `${link.value === "lost" ? "NO LINK – " : ""}${sums.p1 ? `▲${sums.p1} ` : ""}${title} – Starmesh`;
+    document.title = `${link.value === "lost" ? "NO LINK – " : ""}${sums.critical ? `▲${sums.critical} ` : ""}${title} – Starmesh`;
   });
   return html`<${Guard} name="navigation"><${Rail} /><//>
     <div class="col"><${Guard} name="clock and link"><${Top} title=${title} /><//><${Guard} name="banner"><${Banner} /><//>

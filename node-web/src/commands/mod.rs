@@ -16,11 +16,12 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Response};
 use contract::order_form::{BadOrder, LONGEST_REASON, OrderForm};
 use contract::{Address, CommandId, Order, Reason, Refusal};
-use orders::{Follower, NotAccepted};
+use orders::{Follower, NotAccepted, NotDone, TakenBy};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 use sha2::{Digest as _, Sha256};
+use units::Utc;
 use users::{Principal, Way};
 
 use crate::authentication::Client;
@@ -40,6 +41,8 @@ const TRIES: u32 = 3;
 const USUAL_DEADLINE_S: f64 = 300.0;
 const LONGEST_DEADLINE_S: f64 = 3600.0;
 const LONGEST_KEY: usize = 100;
+/// The word of the order that a dome's device node carries out as a whole.
+const CLOSE: &str = "close";
 /// The longest body of a request: a schedule of the largest size, in JSON.
 const LONGEST_BODY: usize = 2 << 20;
 /// An answer is held back for so long at most.
@@ -185,16 +188,9 @@ async fn follow(
     deadline: Duration,
 ) {
     let utc = || server.network.clock().utc();
-    // The subscriptions begin before the order is given, so that no effect is missed.
-    let follower = match form.closes {
-        true => Follower::open(&server.bus, &address).await.map(Some),
-        false => Ok(None),
-    };
-    let follower = match follower {
-        Ok(follower) => follower,
-        Err(error) => return command.note(Progress::Unknown, Some(error.to_string()), utc()),
-    };
-    let given_utc = utc();
+    if form.closes {
+        return close(&server, &command, &address, &order, form, deadline).await;
+    }
     let mut tries = 0;
     let given = loop {
         tries += 1;
@@ -204,23 +200,52 @@ async fn follow(
         }
     };
     match given {
-        Ok(()) => {}
-        Err(NotAccepted::Refused(Refusal { reason, detail, .. })) => return command.refuse(reason, detail, utc()),
-        Err(error) => {
-            command.note(Progress::Unknown, Some(error.to_string()), utc());
+        Ok(()) => command.note(Progress::Done, None, utc()),
+        Err(error) => not_accepted(&command, error, utc()),
+    }
+}
+
+fn not_accepted(command: &Command, error: NotAccepted, at_utc: Utc) {
+    match error {
+        NotAccepted::Refused(Refusal { reason, detail, .. }) => command.refuse(reason, detail, at_utc),
+        error => command.note(Progress::Unknown, Some(error.to_string()), at_utc),
+    }
+}
+
+/// Gives an order that closes: to the observatory node, or where that is silent to the device nodes of the domes.
+async fn close(
+    server: &Server,
+    command: &Command,
+    address: &Address,
+    order: &Order,
+    form: &OrderForm,
+    deadline: Duration,
+) {
+    let utc = || server.network.clock().utc();
+    // The subscriptions begin before the order is given, so that no effect is missed.
+    let follower = match Follower::open(&server.bus, address).await {
+        Ok(follower) => follower,
+        Err(error) => return command.note(Progress::Unknown, Some(error.to_string()), utc()),
+    };
+    let given_utc = utc();
+    let taken = |taken: &TakenBy| command.note(Progress::Accepted, taken.warning().map(str::to_owned), utc());
+    match orders::close(&server.bus, &follower, order, deadline, taken).await {
+        Ok(taken) => {
+            let warning = taken.warning().map(|warning| format!(", but {warning}")).unwrap_or_default();
+            let detail = format!("{}{warning}", taken.closed_words());
+            // The domes close, and do nothing else that was ordered.
+            let is_whole = taken == TakenBy::Observatory || form.word == CLOSE;
+            command.note(if is_whole { Progress::Done } else { Progress::Failed }, Some(detail), utc());
+        }
+        Err(NotDone::NotClosed(error)) => command.note(Progress::Failed, Some(error.to_string()), utc()),
+        Err(NotDone::NotAccepted(error)) => {
+            let is_silence = error.is_silence();
+            not_accepted(command, error, utc());
             // An observatory node that hangs may carry it out later.
-            let Some(follower) = follower else { return };
-            if follower.until_closed(&order.id, given_utc, deadline).await.is_ok() {
+            if is_silence && follower.until_closed(&order.id, given_utc, deadline).await.is_ok() {
                 command.note(Progress::Done, Some("verified closed; nobody had answered at first".to_owned()), utc());
             }
-            return;
         }
-    }
-    let Some(follower) = follower else { return command.note(Progress::Done, None, utc()) };
-    command.note(Progress::Accepted, None, utc());
-    match follower.until_closed(&order.id, given_utc, deadline).await {
-        Ok(()) => command.note(Progress::Done, Some("verified closed".to_owned()), utc()),
-        Err(error) => command.note(Progress::Failed, Some(error.to_string()), utc()),
     }
 }
 

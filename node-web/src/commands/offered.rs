@@ -55,7 +55,7 @@ pub async fn catalog(
     let Some(telescope) = model.telescopes.get(&address) else {
         return Err(Problem::not_found("It has just been forgotten."));
     };
-    let summary = Summary::of(&address, telescope, now);
+    let summary = Summary::of(&model, &address, telescope, now);
     let offered = ORDERS.iter().map(|form| OrderOffered {
         command: form.word,
         meaning: form.meaning,
@@ -78,11 +78,8 @@ fn against(
 ) -> Vec<String> {
     let mut found = Vec::new();
     if summary.face.quality != Quality::Fresh {
-        let silent = summary
-            .ages
-            .age_s
-            .map_or("has never published".to_owned(), |age_s| format!("is silent since {age_s:.0} s"));
-        found.push(format!("the observatory node {silent}"));
+        let closes = if form.closes { ": the device node of the dome closes at this order" } else { "" };
+        found.push(format!("{}{closes}", overview::silent(summary.face.observatory_silent_since_utc)));
     }
     let orders = telescope.read::<OperatorOrders>(&Key::Observatory(address.clone(), Part::OperatorOrders));
     let stays_closed = orders.as_ref().and_then(|(_, orders)| orders.stay_closed.clone());
@@ -94,10 +91,16 @@ fn against(
     if let Some(held) = held.filter(|held| form.word == "start" && is_others(held)) {
         let why = if held.reason.is_empty() { String::new() } else { format!(" ({})", held.reason) };
         let name = operator(&held.from);
-        found.push(format!("{name} has the telescope since {}{why}: give a reason to take it over", held.at_utc));
+        found.push(format!(
+            "{name} has the telescope since {}{why}: give a reason to take it over",
+            held.at_utc.to_second()
+        ));
     }
     match (form.word, stays_closed) {
-        ("start", Some(held)) => found.push(format!("it stays closed: {} ordered so at {}", held.from, held.at_utc)),
+        ("start", Some(held)) => {
+            let (name, at) = (operator(&held.from), held.at_utc.to_second());
+            found.push(format!("it stays closed: {name} ordered so at {at}"));
+        }
         ("open-again", None) => found.push("nobody has ordered that it stays closed".to_owned()),
         _ => {}
     }

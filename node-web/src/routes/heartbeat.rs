@@ -99,7 +99,7 @@ pub fn document(
     let documents: Vec<(&Address, Map<String, Value>, Posture)> = wanted
         .into_iter()
         .map(|(address, telescope)| {
-            let summary = Summary::of(address, telescope, now);
+            let summary = Summary::of(model, address, telescope, now);
             (address, one(address, telescope, model, &summary, usage, utc), summary.face.posture)
         })
         .collect();
@@ -134,11 +134,14 @@ fn one(
     let mut errors: Vec<Value> = active.into_iter().map(describe).collect();
     let returned: Vec<Value> = returned.into_iter().map(describe).collect();
     if stale {
-        let error = match (&face.stopped, summary.ages.age_s) {
-            (Some(stopped), _) => format!("stale: {}", stopped.text),
-            (None, Some(age_s)) => format!("stale: the observatory node has been silent for {age_s:.0} s"),
-            (None, None) => {
-                "stale: nothing was received from the observatory node since this page's server started".to_owned()
+        let error = match &face.stopped {
+            Some(stopped) => format!("stale: {}", stopped.text),
+            None => {
+                let silent = overview::silent(face.observatory_silent_since_utc);
+                let posture = format!("posture {}", face.posture.word());
+                let words: Vec<&str> =
+                    [silent.as_str(), posture.as_str()].into_iter().chain(face.domes.iter().map(String::as_str)).collect();
+                format!("stale: {}", words.join("; "))
             }
         };
         errors.push(json!({
@@ -180,6 +183,8 @@ fn one(
         "monitor-action-queue": {},
         "age_s": summary.ages.age_s,
         "stale": stale,
+        "posture": face.posture.word(),
+        "observatory_silent_since_utc": face.observatory_silent_since_utc,
         "robotic_switch": robotic,
         "watchdog_running": !stale,
         "time_to_safe_s": match face.safety.state {

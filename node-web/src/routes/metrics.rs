@@ -31,7 +31,7 @@ pub async fn metrics(State(server): State<Arc<Server>>, Extension(caller): Exten
     let model = server.network.read();
     for (address, telescope) in model.telescopes.iter().filter(|(address, _)| caller.right_at(address).is_some()) {
         let place = [("site", address.site.as_str()), ("telescope", address.telescope.as_str())];
-        let summary = Summary::of(address, telescope, now);
+        let summary = Summary::of(&model, address, telescope, now);
         if !summary.face.shared {
             observatory(&mut page, &place, &summary);
             let schedule = telescope.read::<ScheduleState>(&Key::Observatory(address.clone(), Part::Schedule));
@@ -82,22 +82,17 @@ fn observatory(page: &mut Page, place: &[(&str, &str)], summary: &Summary) {
         page.gauge("starmesh_heartbeat_age_seconds", "Since the observatory node last published.", place, age_s);
     }
     let safety = [(SafetyWord::Safe, "safe"), (SafetyWord::Unsafe, "unsafe"), (SafetyWord::Unknown, "unknown")];
-    let posture = [
-        (Posture::Closed, "closed"),
-        (Posture::Opening, "opening"),
-        (Posture::Open, "open"),
-        (Posture::Closing, "closing"),
-        (Posture::Unknown, "unknown"),
-    ];
+    let posture = [Posture::Closed, Posture::Opening, Posture::Open, Posture::Closing, Posture::Unknown];
+    let posture = posture.map(|posture| (posture, posture.word()));
     let mode = [(Mode::Robotic, "robotic"), (Mode::Manual, "manual"), (Mode::Unknown, "unknown")];
     one_of(page, "starmesh_safety_state", "The verdict: 1 at the word that holds.", place, &safety, face.safety.state);
     one_of(page, "starmesh_posture_state", "Domes: 1 at the word that holds.", place, &posture, face.posture);
     one_of(page, "starmesh_mode_state", "How it is run: 1 at the word that holds.", place, &mode, face.mode);
     for (priority, count) in [
-        (Priority::Critical, face.alert_counts.p1),
-        (Priority::High, face.alert_counts.p2),
-        (Priority::Medium, face.alert_counts.p3),
-        (Priority::Advisory, face.alert_counts.p4),
+        (Priority::Critical, face.alert_counts.critical),
+        (Priority::High, face.alert_counts.high),
+        (Priority::Medium, face.alert_counts.medium),
+        (Priority::Advisory, face.alert_counts.advisory),
     ] {
         let labels = [place[0], place[1], ("priority", priority.word())];
         page.gauge("starmesh_alerts_active", "Active alerts.", &labels, count as f64);

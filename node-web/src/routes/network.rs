@@ -110,7 +110,7 @@ pub async fn network(State(server): State<Arc<Server>>, Extension(caller): Exten
         };
         let wanted = model.telescopes.iter().filter(|(address, _)| is_wanted(address));
         let telescopes = wanted.map(|(address, telescope)| TelescopeInNetwork {
-            summary: Summary::of(address, telescope, now),
+            summary: Summary::of(&model, address, telescope, now),
             nodes: nodes(telescope, now),
         });
         telescopes.collect()
@@ -147,7 +147,7 @@ pub async fn telescope(
     let answer = TelescopeAnswer {
         server_time_utc: network.clock().utc(),
         speed: network.clock().speed(),
-        summary: Summary::of(&address, known, now),
+        summary: Summary::of(&model, &address, known, now),
         states: known
             .states
             .iter()

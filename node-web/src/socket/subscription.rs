@@ -178,7 +178,7 @@ impl Subscription {
         let model = network.read();
         let visible = model.telescopes.iter().filter(|(address, _)| may_see(caller, address));
         let alerts = visible.flat_map(|(address, telescope)| {
-            active(telescope, now).into_iter().map(move |alert| {
+            active(telescope, Vec::new(), now).into_iter().map(move |alert| {
                 (format!("{address}/{}", alert.id), AlertOfTelescope { telescope: address.to_string(), alert })
             })
         });

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use bus::Publisher;
 use contract::observatory::{NightState, OperatorOrders};
-use contract::{Accepted, Key, Order, OrderKind, Part, Reason, Refusal, Reply};
+use contract::{Accepted, Key, Kind, Order, OrderKind, Part, Reason, Refusal, Reply};
 use serde_json::{Value, json};
+use test_support::DomeNode;
 
 use crate::stage::{Stage, address, sample};
 
@@ -203,5 +204,44 @@ async fn the_catalogue_has_what_stands_against_an_order() {
     stage.until(&path, takes_over).await;
     orders.put(control("cli/local@pc")).await.unwrap();
     stage.until(&path, |offered| offered.is_array() && !takes_over(offered)).await;
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_close_that_no_observatory_node_answers_is_carried_out_by_the_dome() {
+    let stage = Stage::start().await;
+    let device = address("callisto").device(Kind::Dome, &"dome_1".parse().unwrap());
+    let dome = DomeNode::start(&stage.bus, device, "callisto").await;
+    let path = "/api/v1/network";
+    let silent = stage.until(path, |network| network["telescopes"][0]["posture_by"] == "domes").await;
+    let before = stage.until(path, |network| network["telescopes"][0]["domes"][0] != Value::Null).await;
+    let before = &before["telescopes"][0];
+    assert_eq!(
+        (&silent["telescopes"][0]["id"], &before["safety"]["state"]),
+        (&json!("paranal/callisto"), &json!("unknown"))
+    );
+    let words = before["domes"][0].as_str().unwrap();
+    assert!(words.starts_with("dome dome_1: shutter in error, it may be half open, not verified closed"), "{words}");
+    assert!(before["now"].as_str().unwrap().starts_with("the observatory node is silent"), "{before}");
+
+    let body = json!({"command": "close", "operator": "ana"});
+    let (status, state, location) = post(&stage, Some("a"), None, body).await;
+    assert_eq!((status, &state["state"]), (202, &json!("accepted")), "{state}");
+    assert!(state["detail"].as_str().unwrap().contains("does not know of this order"), "{state}");
+    let done = stage.until(&location.unwrap(), |state| state["state"] == "done").await;
+    let detail = done["detail"].as_str().unwrap();
+    assert!(detail.starts_with("verified closed by the guard of paranal/callisto/dome/dome_1"), "{done}");
+    {
+        let commands = dome.commands.lock().unwrap();
+        let close = commands.first().unwrap();
+        assert_eq!((close.token, contract::command::operator(&close.from)), (None, "ana"));
+    }
+    let closed = stage.until(path, |network| network["telescopes"][0]["posture"] == "closed").await;
+    assert_eq!(closed["telescopes"][0]["concern"], "medium", "closed, and its safety is unknown");
+
+    // Closed, and nobody has noted that it is to stay so.
+    let (_, state, location) = post(&stage, Some("b"), None, json!({"command": "stay-closed"})).await;
+    let failed = stage.until(&location.unwrap(), |state| state["state"] == "failed").await;
+    assert!(failed["detail"].as_str().unwrap().starts_with("verified closed by the guard"), "{state} {failed}");
     stage.end().await;
 }

@@ -1,9 +1,11 @@
 //! `/api/heartbeat` for one, several and silent telescopes.
 
+use contract::device::dome::Shutter;
 use contract::device::{DeviceState, Link, safety_monitor};
 use contract::observatory::{ActionNow, Alert, AlertKind, Alerts, NightState, Posture, Priority, SafetyState, Verdict};
 use contract::{Datum, Key, Kind, Part, Reading, Scalar, datum::ReadingOutcome};
 use serde_json::{Value, json};
+use test_support::DomeNode;
 use units::Utc;
 
 use crate::stage::{Stage, address};
@@ -175,5 +177,33 @@ async fn a_silent_observatory_is_an_error_and_never_safe() {
     let age_s = silent["age_s"].as_f64().unwrap();
     assert!((5.0..20.0).contains(&age_s), "{age_s}");
     assert!(silent["error_source"][0]["error"].as_str().unwrap().starts_with("stale"), "{silent}");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_silent_observatory_leaves_the_posture_of_the_dome_its_alerts_and_what_closes_it() {
+    let stage = Stage::start().await;
+    let device = address("callisto").device(Kind::Dome, &"dome_1".parse().unwrap());
+    let dome = DomeNode::start(&stage.bus, device, "callisto").await;
+    dome.shutter.send_replace(Shutter::Open);
+    let open = |answer: &Value| answer["data"]["posture"] == "open" && answer["data"]["error_source"][1] != Value::Null;
+    let data = stage.until("/api/heartbeat", open).await["data"].take();
+    assert_eq!((&data["stale"], &data["weather_safe"]), (&json!(true), &Value::Null));
+    assert!(data["observatory_silent_since_utc"].is_string(), "by the age of the permit: {data}");
+    let errors = data["error_source"].as_array().unwrap();
+    let has = |words: &[&str]| {
+        errors
+            .iter()
+            .filter_map(|error| error["error"].as_str())
+            .any(|text| words.iter().all(|word| text.contains(word)))
+    };
+    assert!(has(&["dome-not-closed/dome_1: it is half open"]), "{errors:#?}");
+    let words = [
+        "the observatory node is silent since ",
+        " UTC, so safety is unknown",
+        "posture open",
+        "its guard closes it now",
+    ];
+    assert!(has(&words), "{errors:#?}");
     stage.end().await;
 }

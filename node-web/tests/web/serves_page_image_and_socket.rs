@@ -68,7 +68,7 @@ async fn the_network_and_a_telescope_are_answered_in_full_but_no_spool_url() {
     assert_eq!((&callisto["id"], &callisto["mode"]), (&json!("paranal/callisto"), &json!("robotic")));
     assert_eq!(
         (&callisto["posture"], &callisto["concern"]),
-        (&json!("open"), &json!(1)),
+        (&json!("open"), &json!("critical")),
         "open for 10 min while unsafe"
     );
     let roles: Vec<&Value> = callisto["nodes"].as_array().unwrap().iter().map(|node| &node["role"]).collect();

@@ -14,6 +14,7 @@ use contract::Role;
 use simulator::Simulator;
 use units::Utc;
 
+use crate::running;
 use crate::supervise::{NodeProcess, end};
 use progress::Progress;
 use site::DemoNight;
@@ -74,6 +75,7 @@ async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Resul
     let endpoint = endpoint.context("the demo's own bus listens nowhere")?;
     let mut progress = Progress::listen(&bus, &config.address()).await?;
     let nodes = Nodes::start(folder, &config_file, &config, &endpoint)?;
+    let _running = running::announce("demo", &config.address(), &endpoint, &folder.path);
 
     let total_s = night.dawn.seconds_since(night.start) / options.speed;
     println!("one night of {} at speed {}, about {:.0} s", config.address(), options.speed, total_s);
@@ -81,7 +83,9 @@ async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Resul
     println!("  files     {}", folder.path.join("images").display());
     println!("  database  {}", folder.path.join("data").join("archive.db").display());
     println!("  logs      {}", folder.path.display());
-    println!("  bus       {endpoint}");
+    println!(
+        "  bus       {endpoint} (for other programs; `starmesh status`, `tail` and `order` find it by themselves)"
+    );
     let shower = shower(&simulator, &clock, night.shower());
     let well = tokio::select! {
         ended = progress.follow(night.start, night.dawn) => {

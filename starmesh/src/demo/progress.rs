@@ -11,8 +11,6 @@ use contract::observatory::{Alerts, GuidingState, NightState, RowStatus, SafetyS
 use contract::{Address, NodeTopic, Part, Topic, printable};
 use units::Utc;
 
-use crate::status::posture_word;
-
 /// Follows the night on the bus, as any subscriber could.
 pub struct Progress {
     night: Subscriber<NightState>,
@@ -137,7 +135,7 @@ impl Progress {
     fn change_of_posture(&mut self, now: Utc, night: &NightState) {
         let before = self.facts.last.as_ref().map(|(_, night, _)| night.posture);
         if before != Some(night.posture) {
-            self.print(now, &format!("dome {}", posture_word(night.posture).to_lowercase()));
+            self.print(now, &format!("dome {}", night.posture.word()));
             if before.is_some() && night.posture == contract::observatory::Posture::Closed {
                 self.facts.closings += 1;
             }

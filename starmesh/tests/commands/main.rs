@@ -18,6 +18,7 @@ mod plans_schedules;
 mod real_sky;
 mod real_sky_solved;
 mod refuses_wrong_commands;
+mod sees_what_is_left;
 mod solves_images;
 mod starts_a_device_node;
 mod writes_solutions;

@@ -146,6 +146,10 @@ pub struct Guard {
     /// Closing waits for the mounts under this dome. Absent from nodes that do not report it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub waits_for_mounts: Option<bool>,
+    /// The dome's own watchdog closes it when it was not fed for so long, s of machine time; it is fed only while
+    /// `may_be_open`. 0 where the dome has none. Absent from nodes that do not report it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub watchdog_s: Option<f64>,
     /// The newest token that this node granted, by telescope: the arbiter's own word, which other devices follow.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub granted: Vec<GrantedToken>,

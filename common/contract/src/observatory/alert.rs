@@ -21,10 +21,10 @@ pub enum Priority {
 }
 
 impl Priority {
-    /// The priority as messages and tables show it.
+    /// Its word, the same in payloads, in messages, at the command line and on the page.
     pub const fn word(self) -> &'static str {
         match self {
-            Self::Critical => "CRITICAL",
+            Self::Critical => "critical",
             Self::High => "high",
             Self::Medium => "medium",
             Self::Advisory => "advisory",

@@ -5,6 +5,7 @@ use std::fmt::Display;
 use units::Utc;
 
 use super::{Alert, AlertKind};
+use crate::Address;
 
 impl AlertKind {
     /// The id of one alert of this kind; `instance` is empty where there is only one.
@@ -19,9 +20,14 @@ impl AlertKind {
     /// An alert of this kind.
     pub fn alert(self, instance: impl Display, raised_utc: Utc, cause: &str) -> Alert {
         let entry = self.entry();
+        let id = self.id(instance);
         let [cause, consequence, action] = [cause, entry.consequence, entry.action].map(str::to_owned);
+        let action = match (entry.instance, id.strip_prefix(entry.word)) {
+            ("", _) | (_, None) => action,
+            (placeholder, Some(instance)) => action.replace(placeholder, instance.trim_start_matches('/')),
+        };
         Alert {
-            id: self.id(instance),
+            id,
             priority: entry.priority,
             raised_utc,
             cause,
@@ -46,10 +52,36 @@ impl AlertKind {
     }
 }
 
+impl Alert {
+    /// With the telescope in the commands and the names of files that a person should type; in the catalogue `SITE` and
+    /// `TELESCOPE` stand for it.
+    pub fn at(self, address: &Address) -> Self {
+        let action =
+            self.action.replace("SITE", address.site.as_str()).replace("TELESCOPE", address.telescope.as_str());
+        Self { action, ..self }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::observatory::catalogue::AlertEntry;
+
+    #[test]
+    fn what_to_do_names_the_telescope_and_the_instance_and_no_placeholder() {
+        let callisto = Address::new("paranal", "callisto").unwrap();
+        let alert = AlertKind::Override.alert("wx/Humidity", Utc::EPOCH, "c").at(&callisto);
+        assert_eq!(alert.action, "Apply the limit again: starmesh order paranal/callisto restore wx/Humidity.");
+        let alert = AlertKind::ClocksDisagree.alert("", Utc::EPOCH, "c").at(&callisto);
+        assert!(alert.action.contains("remove clock-callisto.json"), "{}", alert.action);
+        for kind in AlertKind::ALL {
+            let action = kind.alert("instance-1", Utc::EPOCH, "c").at(&callisto).action;
+            let placeholders = ["SITE", "TELESCOPE", kind.entry().instance].into_iter().filter(|word| !word.is_empty());
+            for placeholder in placeholders {
+                assert!(!action.contains(placeholder), "{kind:?}: {action}");
+            }
+        }
+    }
 
     #[test]
     fn every_id_names_its_kind() {

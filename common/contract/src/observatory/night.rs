@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use units::Utc;
 
 use super::Trigger;
+use crate::device::dome::Shutter;
 use crate::{CommandId, Payload};
 
 /// How the observatory stands to the sky.
@@ -21,6 +22,41 @@ pub enum Posture {
     Closing,
     /// Not known; treated as open.
     Unknown,
+}
+
+impl Posture {
+    /// Its word, as it stands in payloads.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Closed => "closed",
+            Self::Opening => "opening",
+            Self::Open => "open",
+            Self::Closing => "closing",
+            Self::Unknown => "unknown",
+        }
+    }
+
+    /// That of an enclosure by its shutter; whoever doubts a shutter passes none.
+    pub const fn of_shutter(shutter: Option<Shutter>) -> Self {
+        match shutter {
+            None | Some(Shutter::Error) => Self::Unknown,
+            Some(Shutter::Open) => Self::Open,
+            Some(Shutter::Opening) => Self::Opening,
+            Some(Shutter::Closing) => Self::Closing,
+            Some(Shutter::Closed) => Self::Closed,
+        }
+    }
+
+    /// The least closed of several; `None` where there are none.
+    pub fn least_closed(each: impl Iterator<Item = Self>) -> Option<Self> {
+        each.max_by_key(|posture| match posture {
+            Self::Closed => 0,
+            Self::Closing => 1,
+            Self::Opening => 2,
+            Self::Open => 3,
+            Self::Unknown => 4,
+        })
+    }
 }
 
 /// What the observatory is doing, every second and at each change.

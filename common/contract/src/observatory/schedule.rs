@@ -59,6 +59,19 @@ pub struct RowState {
     pub detail: String,
 }
 
+impl RowState {
+    /// The detail of a row that an unsafe sky stopped begins so; the verdict has the present reason.
+    pub const NOT_SAFE: &str = "not safe: ";
+    /// The detail of a row that must not expose the sky begins so.
+    pub const SUSPENDED: &str = "suspended: ";
+
+    /// Why it waits, where the present verdict does not say that better.
+    pub fn own_detail(&self) -> Option<&str> {
+        let is_of_verdict = [Self::NOT_SAFE, Self::SUSPENDED].iter().any(|words| self.detail.starts_with(words));
+        Some(self.detail.as_str()).filter(|detail| !detail.is_empty() && !is_of_verdict)
+    }
+}
+
 /// How far a row is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

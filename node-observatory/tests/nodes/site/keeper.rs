@@ -70,6 +70,7 @@ impl Keeper {
                     // This shutter never lies: its reports are proven.
                     verified_closed: Some(is_closed),
                     waits_for_mounts: None,
+                    watchdog_s: None,
                     granted: vec![],
                 };
                 guard.put(body).await.unwrap();

@@ -68,7 +68,7 @@ export function Alerts() {
   const least = useSignal("advisory");
   const all = [...(items?.values() ?? [])].sort((a, b) => priorityNumber(a.priority) - priorityNumber(b.priority) || (a.raised_utc < b.raised_utc ? 1 : -1));
   const chosen = all.filter((alert) => priorityNumber(alert.priority) <= priorityNumber(least.value));
-  const counts = Object.fromEntries(PRIORITIES.map((word, i) => [`p${i + 1}`, all.filter((alert) => alert.priority === word && !isCalm(alert)).length]));
+  const counts = Object.fromEntries(PRIORITIES.map((word) => [word, all.filter((alert) => alert.priority === word && !isCalm(alert)).length]));
   const [active, calm] = [chosen.filter((alert) => !isCalm(alert)), chosen.filter(isCalm)];
   return html`<div class="page-h"><h1 tabindex="-1">Alerts</h1><span class="counts"><${Counts} counts=${counts} /></span><span class="grow"></span>
       <${Segment} label="Least priority" options=${[["advisory", "All"], ["medium", "Medium and up"], ["high", "High and up"]]} value=${least.value} onChange=${(value) => { least.value = value; }} /></div>

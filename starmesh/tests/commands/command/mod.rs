@@ -1,6 +1,7 @@
 //! Runs the command line as a person does.
 
 use std::ffi::OsStr;
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
@@ -22,9 +23,16 @@ impl Output {
     }
 }
 
-/// Calls it and waits.
+/// Calls it and waits. What runs on this machine for this account is none of its business.
 pub fn starmesh<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
-    let output = Command::new(env!("CARGO_BIN_EXE_starmesh")).args(arguments).output().unwrap();
+    let nothing = tempfile::tempdir().unwrap();
+    starmesh_of(nothing.path(), arguments)
+}
+
+/// Calls it with the runtime directory of an account.
+pub fn starmesh_of<S: AsRef<OsStr>>(runtime: &Path, arguments: impl IntoIterator<Item = S>) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_starmesh"));
+    let output = command.env("XDG_RUNTIME_DIR", runtime).args(arguments).output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
     Output { success: output.status.success(), out: text(output.stdout), err: text(output.stderr) }
 }
