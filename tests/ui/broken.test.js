@@ -95,7 +95,7 @@ test("a tile that cannot be drawn is red and says so, and the others go on", TES
 test("an object in the place of a text becomes no element, whatever its fields are called", TEST, async () => {
   const trap = { tag: "img", type: "img", attrs: { src: "x" }, props: { src: "x", onerror: "document.title='taken'" }, key: null, ref: null, children: [], __k: null, constructor: null };
   const alert = { id: "a", priority: "high", cause: trap, consequence: trap, action: trap, raised_utc: "2026-11-22T03:00:00Z" };
-  server.tell(summary("io", { alerts: [alert], alert_counts: { p1: 0, p2: 1, p3: 0, p4: 0 } }));
+  server.tell(summary("io", { alerts: [alert], alert_counts: { critical: 0, high: 1, medium: 0, advisory: 0 } }));
   await page.locator('[data-testid="banner"]').waitFor();
   assert.equal(await page.locator("#app [onerror], #app img").count(), 0);
   assert.doesNotMatch(await page.title(), /taken/);
