@@ -99,6 +99,18 @@ pub const WRONG: &[Wrong] = &[
     ("permit_valid_s = 10", "period_s = nan", 29, &["period_s = NaN"]),
     ("altitude_min_deg = 20", "altitude_min_deg = 95", 17, &["limits.altitude_min_deg = 95", "-90 to 90"]),
     ("altitude_min_deg = 20", "hour_angle_max_h = 40", 17, &["limits.hour_angle_max_h = 40", "-12 to 12"]),
+    (
+        "limits = { altitude_min_deg = 20 }",
+        "arrival_tolerance_deg = 20",
+        17,
+        &["telescope \"mount\": arrival_tolerance_deg = 20", "0.001 to 10 degrees"],
+    ),
+    (
+        "permit_valid_s = 10",
+        "[[rotator]]\nname = \"r\"\nserver = \"10.0.0.5:11111\"\ntolerance_deg = -1",
+        32,
+        &["rotator \"r\": tolerance_deg = -1", "0.001 to 10 degrees"],
+    ),
     ("dwell_min = 15", "max_age_s = 0.5", 34, &["max_age_s = 0.5", "at least period_s = 1", "unsafe each time"]),
     ("dwell_min = 15\n", "\n[shared]\nmax_age_s = 0\n", 36, &["shared.max_age_s = 0", "0.1 to 3600 s"]),
     ("dwell_min = 15\n", "\n[shared]\nmax_age_s = 1e9\n", 36, &["shared.max_age_s = 1000000000", "0.1 to 3600 s"]),
