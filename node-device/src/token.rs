@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn each_file_of_the_arbiter_may_be_lost_and_the_next_token_follows_the_one_that_is_shown() {
+    fn each_file_of_the_arbiter_may_be_lost_and_the_next_token_follows_the_claimants() {
         let (boot_id, claim) = (BootId::fresh(), CommandId::fresh());
         for (lost, left_behind) in [(&[HOLDERS][..], None), (&["json"], Some(0)), (&["json", HOLDERS], Some(0))] {
             let folder = tempfile::tempdir().unwrap();

@@ -187,17 +187,17 @@ proptest! {
     #![proptest_config(ProptestConfig { rng_seed: proptest::test_runner::RngSeed::Fixed(24), ..ProptestConfig::with_cases(100) })]
 
     #[test]
-    fn who_is_told_that_nothing_was_reported_judges_as_if_nothing_had_come(reports in reports()) {
-        let (mut told, mut deaf) = (site(), site());
+    fn a_reported_silence_is_judged_as_if_nothing_had_come(reports in reports()) {
+        let (mut informed, mut deaf) = (site(), site());
         for (second, report) in &reports {
-            observe(&mut told, *second, report);
+            observe(&mut informed, *second, report);
             let is_silence = report.link() == Link::Connecting
                 || report.datum().as_result().is_err_and(NoData::is_silence);
             if !is_silence {
                 observe(&mut deaf, *second, report);
             }
             for judged in [*second, second + 4, second + 30] {
-                prop_assert_eq!(told.judged(judged).verdict, deaf.judged(judged).verdict);
+                prop_assert_eq!(informed.judged(judged).verdict, deaf.judged(judged).verdict);
             }
         }
     }

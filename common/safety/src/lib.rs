@@ -54,7 +54,7 @@
 //! - What may have happened before this node subscribed is unknown, and unknown is unsafe, also within the window of a
 //!   largest value: `a_maximum_is_known_once_its_window_has_filled_since_the_listening_began`.
 //! - No answer is no reading: the one before stays the newest until it is too old (decision 0129):
-//!   `who_is_told_that_nothing_was_reported_judges_as_if_nothing_had_come`.
+//!   `a_reported_silence_is_judged_as_if_nothing_had_come`.
 //! - No value outside of its physical range is believed, and none of a station that contradicts itself is good (decision
 //!   0128): `no_parameter_is_believed_outside_of_its_range_on_whichever_side_its_limit_is`.
 //! - A dome without any input that reports rain stays closed (decision 0056): `without_any_input_it_is_never_safe`.

@@ -79,7 +79,7 @@ async fn a_second_process_of_the_same_name_gets_the_lease_when_the_first_is_sile
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_dome_on_a_new_host_goes_on_from_the_lease_that_the_commander_remembers_in_one_step_and_says_so() {
+async fn a_dome_on_a_new_host_goes_on_from_the_lease_that_the_commander_remembers_in_one_step_and_raises_an_alert() {
     let hardware = a_dome().await;
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5")).await;
     let claimant = stage.bus.boot_id().clone();
