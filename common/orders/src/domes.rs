@@ -1,7 +1,7 @@
 //! The domes over a telescope, as their device nodes publish them: they close without an observatory node and without a
 //! token.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use bus::{Bus, Catch};
@@ -34,7 +34,7 @@ pub async fn over(bus: &Bus, telescope: &Address) -> Vec<Device> {
     );
     let device = |(key, _): (Key, _)| if let Key::State(device) = key { Some(device) } else { None };
     let mut found: Vec<Device> = own.into_iter().filter_map(device).collect();
-    let mut unknown: BTreeMap<Device, ()> = of_site.into_iter().filter_map(device).map(|dome| (dome, ())).collect();
+    let mut unknown: BTreeSet<Device> = of_site.into_iter().filter_map(device).collect();
     let guards = bus.subscribe::<dome::Guard>(Topic::Guard.at(&shared), Catch::Newest, 64);
     if !unknown.is_empty()
         && let Ok(guards) = guards.await
@@ -43,7 +43,7 @@ pub async fn over(bus: &Bus, telescope: &Address) -> Vec<Device> {
             while !unknown.is_empty() {
                 let received = guards.recv().await;
                 let Key::Guard(dome) = received.key else { continue };
-                if unknown.remove(&dome).is_none() {
+                if !unknown.remove(&dome) {
                     continue;
                 }
                 let (at_utc, guard) = (received.sample.at_utc, received.sample.body);
@@ -65,7 +65,8 @@ pub async fn over(bus: &Bus, telescope: &Address) -> Vec<Device> {
 /// Closing needs no token, and a repeat with the same id is answered again and not done again.
 pub async fn close(bus: &Bus, domes: &[Device], order: &Order) -> bool {
     let mut asked = JoinSet::new();
-    for dome in domes.iter().cloned() {
+    for dome in domes {
+        let dome = dome.clone();
         let (bus, id, from) = (bus.clone(), order.id.clone(), order.from.clone());
         let command = Command { id, from, token: None, boot_id: None, action: dome::Command::CloseShutter };
         asked.spawn(async move { bus.command(&dome, &command, ANSWER_WITHIN).await.is_ok() });

@@ -168,7 +168,9 @@ pub async fn alerts(
         .iter()
         .filter(|(address, _)| is_wanted(address))
         .flat_map(|(address, telescope)| {
-            active(telescope, Vec::new(), now).into_iter().map(|alert| AlertOfTelescope { telescope: address.to_string(), alert })
+            active(telescope, Vec::new(), now)
+                .into_iter()
+                .map(|alert| AlertOfTelescope { telescope: address.to_string(), alert })
         })
         .filter(|of| query.priority.is_none_or(|least| of.alert.priority <= least))
         .collect();
