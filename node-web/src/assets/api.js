@@ -38,6 +38,7 @@ export function useGet(path, everyS = 0) {
     state.value = { ...state.peek(), loading: true };
     try {
       const data = await ask(path, { signal: mine.signal });
+      if (data === null || data === undefined) throw new Failure(200, { detail: "The server's answer is empty." });
       if (asked.current === mine) state.value = { data, error: null, at: performance.now(), loading: false };
     } catch (error) {
       if (error.name !== "AbortError" && asked.current === mine) state.value = { ...state.peek(), error, loading: false };

@@ -43,7 +43,7 @@ export function Night({ rows = [], plan = [], done = [], site, now, label = "The
   const place = useRef(null);
   const width = useSignal(900);
   useEffect(() => {
-    const observer = new ResizeObserver(() => { width.value = Math.max(280, place.current.clientWidth); });
+    const observer = new ResizeObserver(() => { if (place.current) width.value = Math.max(280, place.current.clientWidth); });
     observer.observe(place.current);
     return () => observer.disconnect();
   }, []);

@@ -7,6 +7,7 @@ use axum::Extension;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse as _, Response};
+use contract::Address;
 use contract::observatory::{Alert, Posture};
 use users::Principal;
 
@@ -25,7 +26,7 @@ pub async fn lite(State(server): State<Arc<Server>>, Extension(caller): Extensio
     let summaries = server.network.summaries();
     let may_see = |summary: &&Summary| {
         let Face { site_id, telescope_id, .. } = &summary.face;
-        let address = contract::Address { site: site_id.clone(), telescope: telescope_id.clone() };
+        let address = Address { site: site_id.clone(), telescope: telescope_id.clone() };
         !summary.face.shared && caller.right_at(&address).is_some()
     };
     let text = html(summaries.iter().filter(may_see), &server.network.clock().utc().to_string());
@@ -115,7 +116,8 @@ mod tests {
 
     #[test]
     fn text_from_the_bus_is_never_markup_and_an_unknown_telescope_says_so() {
-        let network = Network::new(Clock::machine_clock(), "paranal/callisto".parse().unwrap());
+        let address = Address { site: "paranal".parse().unwrap(), telescope: "callisto".parse().unwrap() };
+        let network = Network::new(Clock::machine_clock(), address);
         let alert = json!({"alerts": [{"id": "a", "priority": "critical", "raised_utc": "2026-11-21T03:00:00Z",
             "cause": "<img src=x onerror=\"a()\">", "consequence": "c", "action": "d"}]});
         network.accept(received("paranal/callisto/observatory/alerts/state", "b1", 1, 0, alert));
