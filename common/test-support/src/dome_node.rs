@@ -35,6 +35,7 @@ impl DomeNode {
             uptime_s: 100.0,
             speed: 1.0,
             figures: Default::default(),
+            stopped: None,
         };
         let states = bus.publisher::<NodeState>(&node(NodeTopic::State)).await.unwrap();
         let alert = AlertKind::DomeNotClosed.alert(&dome.name, bus.clock().utc(), "it is half open");
