@@ -111,7 +111,8 @@ async fn many_frames_that_cannot_be_written_are_one_alert() {
     let running = run(node);
     // As a disk that takes nothing: a file is in the place of the folder.
     let parts = folder.path().join("images/.part/paranal-callisto");
-    until("the folder of parts is made", || parts.is_dir()).await;
+    spool.frames.put(spool.frame("before", device_bus.clock().utc())).await.unwrap();
+    until("the node stores frames", || spool.releases("before") >= 1).await;
     std::fs::remove_dir(&parts).unwrap();
     std::fs::write(&parts, "").unwrap();
     for number in 0..6 {
