@@ -2,7 +2,6 @@
 //! often it must be ordered to stop: it is stopped before each of its limits.
 
 use bus::SkyTime;
-use contract::Datum;
 use sky::{EarthOrientation, Place};
 use units::{Angle, Utc};
 

@@ -9,8 +9,8 @@ use bus::MachineTime;
 use contract::device::camera::Frame;
 use contract::node::{NodeState, Stopped};
 use contract::observatory::{
-    ActionNow, Alert, GuidingState, NightState, OperatorOrders, Posture, Priority, RowStatus, SafetyState, ScheduleState,
-    Unsafe, Verdict,
+    ActionNow, Alert, GuidingState, NightState, OperatorOrders, Posture, Priority, RowStatus, SafetyState,
+    ScheduleState, Unsafe, Verdict,
 };
 use contract::{Address, Chunk, Key, NodeTopic, Part, Role};
 use overview::{DomeView, Seen};

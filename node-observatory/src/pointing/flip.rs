@@ -100,7 +100,10 @@ mod tests {
         let [west, east] = [Some(PierSide::West), Some(PierSide::East)];
         assert!(turned(PierSide::West, &[east]).await, "it shows at once");
         assert!(turned(PierSide::West, &[west, west, west, east]).await, "it is late");
-        assert!(turned(PierSide::West, &[west, None]).await, "it reports nothing any more: nobody knows that it stayed");
+        assert!(
+            turned(PierSide::West, &[west, None]).await,
+            "it reports nothing any more: nobody knows that it stayed"
+        );
         assert!(stayed(PierSide::West, &[west, west, west]).await, "it stayed");
         // Past the lower meridian it turns over the other way.
         assert!(stayed(PierSide::East, &[east, east, east]).await, "it stayed");

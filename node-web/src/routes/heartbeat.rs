@@ -139,8 +139,10 @@ fn one(
             None => {
                 let silent = overview::silent(face.observatory_silent_since_utc);
                 let posture = format!("posture {}", face.posture.word());
-                let words: Vec<&str> =
-                    [silent.as_str(), posture.as_str()].into_iter().chain(face.domes.iter().map(String::as_str)).collect();
+                let words: Vec<&str> = [silent.as_str(), posture.as_str()]
+                    .into_iter()
+                    .chain(face.domes.iter().map(String::as_str))
+                    .collect();
                 format!("stale: {}", words.join("; "))
             }
         };
