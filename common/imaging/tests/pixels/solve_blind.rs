@@ -150,7 +150,7 @@ fn fields_without_a_hint(fields: usize, most_missed: usize, random_lists: u64) {
         println!("random list of {count}: {:?}", started.elapsed());
     }
     println!("{lists} random lists, {candidates} candidates, none accepted");
-    assert!(candidates as u64 > 80 * random_lists, "only {candidates} candidates");
+    assert!(candidates > 80 * random_lists, "only {candidates} candidates");
 }
 
 #[test]

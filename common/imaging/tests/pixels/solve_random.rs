@@ -74,7 +74,7 @@ fn random_star_lists(lists: u64, sparse: u64) {
     }
     println!("{tried} lists, {} accepted, {few} too sparse to be matched, {tested} hypotheses", accepted.len());
     assert_eq!(tried, lists);
-    assert!(tested as u64 > 1000 * lists, "only {tested} hypotheses: the lists were not searched");
+    assert!(tested > 1000 * lists, "only {tested} hypotheses: the lists were not searched");
     assert!(few < lists / sparse, "{few} lists were too sparse to test anything");
     assert!(accepted.is_empty(), "{accepted:#?}");
 }
