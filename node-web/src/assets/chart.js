@@ -99,6 +99,8 @@ function draw(plot, panel, shared) {
     ctx.setLineDash([]);
     if (limit.text) {
       ctx.fillStyle = css("--ink-2");
+      ctx.textAlign = "left";
+      ctx.textBaseline = "alphabetic";
       ctx.font = `${11 * devicePixelRatio}px Inter, sans-serif`;
       ctx.fillText(limit.text, bbox.left + 8 * devicePixelRatio, limit.side === "below" && bbox.top + bbox.height - at > 18 * devicePixelRatio || limit.side !== "below" && at - bbox.top < 18 * devicePixelRatio ? at + 14 * devicePixelRatio : at - 5 * devicePixelRatio);
     }
