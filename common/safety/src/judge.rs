@@ -206,7 +206,7 @@ fn weigh(
     let evidence = record.evidence(now, allowed, |measured| !measured.tripped);
     let good = matches!(evidence, Evidence::Good { .. });
     evaluation.input(&rule.input, record, now, good, |measured| number(measured.value));
-    let dwell_s = (rule.dwell != Duration::MAX).then(|| rule.dwell.as_secs_f64());
+    let dwell_s = (rule.dwell != Duration::MAX).then_some(rule.dwell.as_secs_f64());
     let limit = InputLimit { upper: rule.bad.upper, lower: rule.bad.lower, dwell_s };
     evaluation.inputs.last_mut().into_iter().for_each(|input| input.limits = vec![limit.clone()]);
     if let Evidence::Good { newest, .. } = &evidence
