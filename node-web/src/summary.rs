@@ -499,7 +499,12 @@ fn summed(schedule: &ScheduleState) -> ScheduleSummary {
 
 #[cfg(test)]
 mod tests {
+    use bus::Clock;
+    use serde_json::{Value, json};
+
     use super::*;
+    use crate::model::tests::received;
+    use crate::network::Network;
 
     #[test]
     fn unsafe_and_closed_is_quiet_but_open_and_blind_is_the_loudest() {
@@ -561,5 +566,30 @@ mod tests {
         assert_eq!(concern(SafetyWord::Unsafe, Posture::Open, 10.0), Some(Priority::High));
         assert_eq!(concern(SafetyWord::Unsafe, Posture::Open, 31.0), Some(Priority::Critical));
         assert_eq!(concern(SafetyWord::Unsafe, Posture::Closing, 10.0), Some(Priority::Medium));
+    }
+
+    #[test]
+    fn figures_are_in_arcsec_and_of_now_or_absent() {
+        let address = Address::new("paranal", "callisto").unwrap();
+        let night = include_str!("../../common/contract/golden/v1/observatory.night.json");
+        let facts = json!({"frame": "f", "camera": "andor", "fwhm_px": 3.0, "scale_arcsec_px": 0.5});
+        let guiding = json!({"active": true, "detail": "", "camera": "andor", "rms_px": 0.4});
+        let figures = |guiding: &Value, now_s| {
+            let network = Network::new(Clock::machine_clock(), address.clone());
+            let states = [
+                ("observatory/night/state", serde_json::from_str(night).unwrap()),
+                ("observatory/frame/f/facts", facts.clone()),
+                ("observatory/guiding/state", guiding.clone()),
+            ];
+            for (key, body) in states {
+                network.accept(received(&format!("paranal/callisto/{key}"), "b", 0, 100, body));
+            }
+            let now = MachineTime::from_boot(Duration::from_secs(now_s));
+            Summary::of(&address, &network.read().telescopes[&address], now).face.figures
+        };
+        assert_eq!(figures(&guiding, 101), Figures { guide_rms_arcsec: Some(0.2), fwhm_arcsec: Some(1.5) });
+        let ended = json!({"active": false, "detail": "", "camera": "andor", "rms_px": 0.4});
+        assert_eq!(figures(&ended, 101), Figures { guide_rms_arcsec: None, fwhm_arcsec: Some(1.5) });
+        assert_eq!(figures(&guiding, 500), Figures::default(), "the observatory node is silent");
     }
 }

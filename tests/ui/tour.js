@@ -26,6 +26,7 @@ try {
     await page.goto(`${bus.url}${address}?theme=${theme}`);
     await settled(page);
     await page.waitForFunction(() => [...document.images].every((image) => image.loading === "lazy" || image.naturalWidth > 0) && document.fonts.status === "loaded");
+    if (address === `/t/${id}`) await page.locator('[data-testid="night"] .b-next').first().waitFor();
     if (address === "/") await page.locator('[data-testid="tile"][data-telescope="ridge/delta"][data-level="p1"]').waitFor();
     await page.screenshot({ path: join(docs, file) });
     console.log(`docs/${file}`);

@@ -99,6 +99,8 @@ function draw(plot, panel, shared) {
     ctx.setLineDash([]);
     if (limit.text) {
       ctx.fillStyle = css("--ink-2");
+      ctx.textAlign = "left";
+      ctx.textBaseline = "alphabetic";
       ctx.font = `${11 * devicePixelRatio}px Inter, sans-serif`;
       ctx.fillText(limit.text, bbox.left + 8 * devicePixelRatio, limit.side === "below" && bbox.top + bbox.height - at > 18 * devicePixelRatio || limit.side !== "below" && at - bbox.top < 18 * devicePixelRatio ? at + 14 * devicePixelRatio : at - 5 * devicePixelRatio);
     }
@@ -169,16 +171,22 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, onZoom, label 
   const shape = JSON.stringify([theme.value, t0, t1, now && Math.round(now / 60000), unsafe, marks, panels.map((panel) => [panel.name, panel.limits, panel.series.map((one) => [one.name, one.points.length, one.points[0], one.points[one.points.length - 1]])])]);
   useEffect(() => {
     const element = place.current;
+    let making = false;
     const moved = (t) => {
-      if (t === at.peek()) return;
+      if (making || t === at.peek()) return;
       at.value = t;
       onAt?.(t);
     };
     const shared = { key: key.current, t0, t1, unsafe, marks, now, onZoom };
     const make = () => {
+      making = true;
       plots.current.forEach((plot) => plot.destroy());
       const width = Math.max(200, element.clientWidth);
       plots.current = panels.map((panel, i) => new Plot(options({ height: 120, ...panel }, shared, width, i === panels.length - 1, moved), columns(panel.series), element.querySelectorAll(".plot")[i]));
+      making = false;
+      // The cursor stays where it was.
+      const [first] = plots.current;
+      if (first && at.peek() !== null) first.setCursor({ left: first.valToPos(at.peek() / 1000, "x"), top: 10 });
     };
     make();
     let width = element.clientWidth;

@@ -1,5 +1,5 @@
 // The past of published properties, from the archive, with a choice of how far back.
-import { html, useSignal } from "./lib.js";
+import { html, useMemo, useSignal } from "./lib.js";
 import { useGet } from "./api.js";
 import { Chart, pointsOf } from "./chart.js";
 import { Card, Empty, Loaded, Segment } from "./parts.js";
@@ -20,7 +20,9 @@ export function useHistory(id, properties, hours, points = 400, everyS = 30) {
     const [kind, device, name] = property.split("/");
     return (found.data?.rows ?? []).map((row) => row.series).find((one) => one && one.kind === kind && one.device === device && one.property === name);
   };
-  return { ...found, t0, t1: Math.max(t1 ?? 0, skyNow() ?? 0), series };
+  // The axis ends when the newest answer came: a chart is made anew with new values, and not each second.
+  const end = useMemo(() => skyNow() ?? 0, [found.at]);
+  return { ...found, t0, t1: Math.max(t1 ?? 0, end), series };
 }
 
 export function History({ id, properties, title, unit, limits }) {

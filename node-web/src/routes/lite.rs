@@ -40,8 +40,8 @@ fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, now: &str) -> String {
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><title>Starmesh, plain</title>\
          <link rel=\"stylesheet\" href=\"/assets/starmesh.css\"><link rel=\"stylesheet\" href=\"/assets/live.css\">\
          <link rel=\"icon\" href=\"/assets/favicon.svg\"></head><body class=\"document\"><main class=\"stack\"><h1>Telescopes</h1>\
-         <p>As of <b>{}</b>; asked again each {AGAIN_S} s. An older page is out of date. <a href=\"/\">The whole page</a></p>",
-        escaped(now)
+         <p>As of <b>{} UTC</b>; asked again each {AGAIN_S} s. An older page is out of date. <a href=\"/\">The whole page</a></p>",
+        escaped(now.get(..19).unwrap_or(now))
     );
     let mut known = 0;
     for summary in summaries {
@@ -51,7 +51,7 @@ fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, now: &str) -> String {
     if known == 0 {
         text.push_str("<p>No telescope on the bus yet.</p>");
     }
-    text.push_str("<p>To close one: <code>starmesh order TELESCOPE close</code> on a host with its configuration.</p></main></body></html>");
+    text.push_str("<p>To close one: <code>starmesh order SITE/TELESCOPE close</code> on a host with its configuration.</p></main></body></html>");
     text
 }
 

@@ -1,5 +1,5 @@
 // Focus: the run that goes on or the last one, with its points and curve; positions by temperature; FWHM of the night's frames.
-import { html } from "../lib.js";
+import { html, useMemo } from "../lib.js";
 import { useGet } from "../api.js";
 import { Chart } from "../chart.js";
 import { clock, number, plain } from "../format.js";
@@ -33,6 +33,7 @@ export function Focus({ id }) {
   const night = skyNow() && nightOf(skyNow());
   const report = useGet(night && `/api/v1/telescopes/${id}/nights/${night}/report`, 60);
   const frames = useGet(night && `/api/v1/telescopes/${id}/frames?night=${night}&image_type=light&limit=2000`, 60);
+  const t1 = useMemo(() => skyNow(), [frames.at]);
   const points = (frames.data?.rows ?? []).map((row) => row.found_frame).filter((frame) => frame?.fwhm_arcsec != null).map((frame) => [Date.parse(frame.at_utc), frame.fwhm_arcsec]);
   const runs = report.data?.focus_runs ?? [];
   const body = entry?.body;
@@ -41,6 +42,6 @@ export function Focus({ id }) {
       <div class="stack"><${Card} name="Now"><div class="stats three"><${Stat} name="Best position" value=${plain(body.best_position)} unit="steps" worth=${quality(ageOf(entry), entry.period_s)} />${(body.focusers ?? []).map((one) => html`<${Stat} key=${one.focuser} name=${one.focuser} value=${plain(one.best_position)} unit="steps" sub=${[one.temperature_c != null && `at ${number(one.temperature_c)} °C`, one.runs != null && `${one.runs} runs`].filter(Boolean).join(", ")} />`)}</div>
         <p class="m">${body.detail} · ${run?.critical_zone ? `critical zone ± ${number(run.critical_zone / 2, 0)} steps · ` : ""}<${Age} s=${ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} after=" ago" /></p>${body.slope_steps_per_c != null && html`<p><b>${number(body.slope_steps_per_c)}</b> steps/°C</p>`}<//>
       <${Card} name="If a run fails"><p class="m">The focuser returns to the last good position, and the row goes on. The alert <span class="mono">focus-failed</span> says why.</p><//></div></div>` : html`<p class="m">Nothing of the focus received yet.</p>`}
-    <${Card} name="FWHM of tonight's frames"><${Loaded} of=${frames} what="The list of frames">${() => (points.length ? html`<${Chart} t0=${Math.min(...points.map(([t]) => t)) - 6e5} t1=${skyNow()} now=${skyNow()} marks=${runs.map((one) => ({ t: Date.parse(one.started_utc), text: "focus run" })).filter((mark) => mark.t)} panels=${[{ name: "FWHM", unit: "″", digits: 2, height: 180, zero: true, series: [{ name: "", points, colour: "--s1", kind: "dots" }] }]} />` : html`<${Empty} icon="focus" title="No frame of this night is measured yet" />`)}<//><//>
+    <${Card} name="FWHM of tonight's frames"><${Loaded} of=${frames} what="The list of frames">${() => (points.length ? html`<${Chart} t0=${Math.min(...points.map(([t]) => t)) - 6e5} t1=${t1} now=${t1} marks=${runs.map((one) => ({ t: Date.parse(one.started_utc), text: "focus run" })).filter((mark) => mark.t)} panels=${[{ name: "FWHM", unit: "″", digits: 2, height: 180, zero: true, series: [{ name: "", points, colour: "--s1", kind: "dots" }] }]} />` : html`<${Empty} icon="focus" title="No frame of this night is measured yet" />`)}<//><//>
     <${Card} name="Runs tonight" flush><${Loaded} of=${report} what="The night">${() => (runs.length ? html`<${Table} label="Runs tonight" columns=${COLUMNS} rows=${runs} keyOf=${(one) => one.started_utc} cells=${(one) => html`<td class="k">${clock(one.started_utc)}</td><td>${one.filter ?? "—"}</td><td class="num">${one.points?.length ?? "—"}</td><td class="num"><b>${plain(one.best_position)}</b></td><td class="num">${one.temperature_c != null ? number(one.temperature_c) : "—"}</td><td>${words(one.outcome)}${one.reason ? `: ${one.reason}` : ""}</td>`} />` : html`<p class="m pad">No focus run tonight.</p>`)}<//><//>`;
 }

@@ -1,5 +1,5 @@
 // Guiding: is it good, what was corrected, and why; error, pulse and stars on one cursor.
-import { html, useSignal } from "../lib.js";
+import { html, useMemo, useSignal } from "../lib.js";
 import { useGet } from "../api.js";
 import { Chart, broken } from "../chart.js";
 import { clock, number } from "../format.js";
@@ -18,7 +18,8 @@ export function useCorrections(id, hours) {
   if (now.peek() === null && skyNow()) now.value = skyNow();
   const found = useGet(now.value && `/api/v1/telescopes/${id}/guiding/corrections?from_utc=${new Date(now.value - hours * 3600e3).toISOString()}&limit=3000`, 20);
   const corrections = (found.data?.rows ?? []).map((row) => row.correction).filter(Boolean).sort((a, b) => (a.mid_utc < b.mid_utc ? -1 : 1));
-  return { ...found, corrections, t1: skyNow() };
+  const t1 = useMemo(() => skyNow(), [found.at]);
+  return { ...found, corrections, t1 };
 }
 
 function Now({ entry }) {
