@@ -585,7 +585,8 @@ mod tests {
                 network.accept(received(&format!("paranal/callisto/{key}"), "b", 0, 100, body));
             }
             let now = MachineTime::from_boot(Duration::from_secs(now_s));
-            Summary::of(&address, &network.read().telescopes[&address], now).face.figures
+            let model = network.read();
+            Summary::of(&model, &address, &model.telescopes[&address], now).face.figures
         };
         assert_eq!(figures(&guiding, 101), Figures { guide_rms_arcsec: Some(0.2), fwhm_arcsec: Some(1.5) });
         let ended = json!({"active": false, "detail": "", "camera": "andor", "rms_px": 0.4});
