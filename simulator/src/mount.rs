@@ -120,6 +120,12 @@ impl Mount {
         Icrs::from_degrees(ra.rem_euclid(360.0), dec)
     }
 
+    /// The telescope slips in its mount, arcsec to the east and to the north, which no encoder shows.
+    pub fn slip(&mut self, [east, north]: [f64; 2]) {
+        self.offset[0] += east;
+        self.offset[1] += north;
+    }
+
     /// Moving under a slew, an axis rate, or settling.
     pub fn is_slewing(&self) -> bool {
         self.slew.is_some() || self.settle_left_s > 0.0 || self.axis_rates != [0.0; 2]

@@ -232,6 +232,12 @@ impl World {
         self.refresh();
     }
 
+    /// The telescope slips in its mount, arcsec to the east and to the north: it reports where it was.
+    pub fn slip(&self, arcsec: [f64; 2]) {
+        self.lock().observatory.telescope.mount.slip(arcsec);
+        self.refresh();
+    }
+
     /// Orders a weather value in ASCOM's unit; None returns to the natural value.
     pub fn set_weather(&self, quantity: Quantity, value: Option<f64>) {
         self.lock().observatory.weather.order(quantity, value);

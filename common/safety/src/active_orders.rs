@@ -237,7 +237,7 @@ mod tests {
         orders.do_without(&rules(), SUN, 60.0, ordered_by("washing")).unwrap();
         let closed =
             (AlertKind::StayClosed, String::new(), "web/ana ordered to stay closed: people on the roof".to_owned());
-        let cause = "sun is overridden until 1970-01-01T00:17:40.000000Z by web/ana: washing".to_owned();
+        let cause = "sun is overridden until 1970-01-01 00:17:40 UTC by web/ana: washing".to_owned();
         let overridden = (AlertKind::Override, SUN.to_owned(), cause);
         assert_eq!(orders.reminders(Utc::from_seconds(1059.0)), [closed.clone(), overridden]);
         assert_eq!(orders.reminders(Utc::from_seconds(1060.0)), [closed]);

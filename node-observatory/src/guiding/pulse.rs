@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use contract::device::telescope::{Command, Direction};
+use bus::Received;
+use contract::DeviceState;
+use contract::device::telescope::{Command, Direction, Fields};
 use imaging::guide::Pulses;
 use schedule::Row;
 
@@ -25,6 +27,10 @@ pub struct Given {
     pub refused: Option<String>,
 }
 
+/// A slew that keeps a pulse from its mount shows itself within this, machine time.
+const SLEW_SEEN: Duration = Duration::from_secs(3);
+/// It is over within this, machine time.
+const SLEW_OVER: Duration = Duration::from_secs(300);
 /// A pulse is over within this beyond its length, sky time.
 const OVER_WITHIN: Duration = Duration::from_secs(10);
 
@@ -98,5 +104,17 @@ pub async fn pulse(mount: &Mount, direction: Direction, duration_ms: u32) -> Res
     // No turn is waited for: a pulse that comes late pushes a field that is elsewhere by then.
     let id = mount.ask(Command::PulseGuide { direction, duration_ms }).await?;
     let most = command_timeout(mount.clock(), Duration::from_millis(u64::from(duration_ms)) + OVER_WITHIN);
-    mount.done(&id, "pulse_guide", most).await.map(|_| ())
+    let slews = |wanted| {
+        move |received: &Received<DeviceState<Fields>>| {
+            (received.sample.body.fields.slewing.known() == Some(&wanted)).then_some(())
+        }
+    };
+    match mount.done(&id, "pulse_guide", most).await {
+        // Somebody moves the mount meanwhile, which then takes no pulses: the next frame shows where it is.
+        Err(failed @ ActionError::Failed { .. }) => match mount.until(SLEW_SEEN, "slewing", slews(true)).await {
+            Ok(()) => mount.until(SLEW_OVER, "at rest", slews(false)).await,
+            Err(_) => Err(failed),
+        },
+        done => done.map(|_| ()),
+    }
 }

@@ -27,7 +27,7 @@ fn exposures(sim: &Sim) -> usize {
 async fn a_cooler_that_refuses_is_asked_again_until_it_runs() {
     let mut sim = Sim::with(telescope(20.0), "[faults]\nretries = 100\npause_s = 0.5\n", CAMERA, &[]).await;
     sim.write_schedule(&[("cool_camera", "{}"), BIAS], 18_000.0);
-    let refuses = Fault { error: Some(0x500), only: vec!["cooleron".to_owned()], ..Fault::default() };
+    let refuses = Fault { error: Some(0x500), only: vec!["setccdtemperature".to_owned()], ..Fault::default() };
     sim.simulator.world().fault(Kind::Camera, refuses);
     sim.start().await;
     let trying = |sim: &Sim| {

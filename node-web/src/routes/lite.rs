@@ -124,6 +124,6 @@ mod tests {
         let summaries = network.summaries();
         let page = html(summaries.iter(), "now");
         assert!(page.contains("SAFETY UNKNOWN") && page.contains("DOME UNKNOWN"), "{page}");
-        assert!(page.contains("CRITICAL: &lt;img") && !page.contains("<img"), "{page}");
+        assert!(page.contains("critical: &lt;img") && !page.contains("<img"), "{page}");
     }
 }

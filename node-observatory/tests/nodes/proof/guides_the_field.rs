@@ -11,7 +11,7 @@ use node_observatory::replicated::Replicate as _;
 use units::Angle;
 
 use crate::MOST;
-use crate::guides_the_field::{apart, object, sides, turned};
+use crate::guides_the_field::{apart, endless, object, past_meridian_deg, sides, turned};
 use crate::sim::{Sim, by_geometry, telescope};
 
 /// What is asked for: the predecessor's published median, px.
@@ -265,5 +265,44 @@ async fn a_camera_of_its_own_guides_alongside_the_rows_exposures() {
     assert!(corrections.iter().all(|correction| correction.camera == "guider"));
     assert!(frames >= 3 && rms_px <= ASKED_PX, "{corrections:#?}");
     assert_eq!(sim.schedule.get().unwrap().sample.body.rows[0].frames, 4, "its frames are none of the row's");
+    sim.stop().await;
+}
+
+// Somebody turns the mount over within the seconds of a run on real clocks, so that the outcome depends on load.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_calibration_during_which_the_tube_turns_over_succeeds_at_the_first_try() {
+    let options = telescope(20.0);
+    let once = "[imaging]\nsolve = false\n[faults]\nretries = 0\n[faults.policy]\ntelescope = \"skip\"\n";
+    let mut sim = Sim::new(options, once).await;
+    // The roof is open and the mount tracks before it is decided where to calibrate.
+    let before = endless(sim.place(-0.5, -10.0), "\"exptime\": 2");
+    sim.write_schedule(&[("object", &before)], 18_000.0);
+    sim.start().await;
+    let taken =
+        |sim: &Sim| sim.schedule.get().is_some_and(|found| found.sample.body.rows.iter().any(|row| row.frames > 0));
+    sim.until("observing", MOST, taken).await;
+    // In the east when the row slews, and across the meridian while it is calibrated: the exposures after some twenty
+    // pulses are 20 s of this machine and more, the way to the meridian is 15 s.
+    let (ra, dec) = sim.place(-0.08, -10.0);
+    let calibrate = format!(r#"{{"exptime": 20, "pulse_time": 900, "settle_time": 0.5, "ra": {ra}, "dec": {dec}}}"#);
+    sim.write_schedule(&[("calibrate_guiding", &calibrate)], 18_000.0);
+    sim.until("past the meridian, calibrating", MOST, |sim| {
+        let pulses =
+            sim.sent_to_mount(0).iter().filter(|(member, _)| member.eq_ignore_ascii_case("pulseguide")).count();
+        // The half degree is that between J2000 and date.
+        pulses >= 1 && past_meridian_deg(sim, (ra, dec)) > 0.5
+    })
+    .await;
+    sim.slew_by_hand((ra, dec)).await;
+    sim.until("calibrated", MOST, |sim| sim.ended(0).is_some()).await;
+    let report = sim.ended(0).unwrap();
+    assert!(report.contains("px/s") && report.contains("pulses"), "{report}");
+    // A whole run on the side where it is then: a pulse that was under way as the tube turned over is not of it.
+    let log = sim.simulator.world().puts_since(0);
+    let by_hand = log.iter().rposition(|put| put.member == "slewtocoordinatesasync").unwrap();
+    let [before, after] = [&log[..by_hand], &log[by_hand..]]
+        .map(|log| log.iter().filter(|put| put.member.eq_ignore_ascii_case("pulseguide")).count());
+    let of_run = |count: &usize| report.contains(&format!(" {count} pulses"));
+    assert!(before > 0 && (after.saturating_sub(1)..=after).any(|count| of_run(&count)), "{before}, {after}; {report}");
     sim.stop().await;
 }
