@@ -188,8 +188,8 @@ def main() -> int:
     failed, passed_alone = [r for r in results if not r.passed], set()
     for result in failed:
         print(f"again, alone: {result.case.name}", flush=True)
-        alone = Runner(str(binary), [result.case], 1, allowance_s, not arguments.quiet)
-        if all(again.passed for again in alone.run()) and not alone.failed:
+        second = Runner(str(binary), [result.case], 1, allowance_s, not arguments.quiet)
+        if all(again.passed for again in second.run()) and not second.failed:
             passed_alone.add(id(result))
     print()
     print("\n".join(table.rows(results, allowance_s)))
