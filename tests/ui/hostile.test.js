@@ -53,13 +53,14 @@ async function looksAtEveryPage(context, told) {
     await context.test(`${told} ${address}`, TEST, async () => {
       await page.goto(bus.url + address);
       await settled(page);
+      // Whatever else comes: a wait that only a page without Close ends by its limit.
+      if (address.startsWith("/t/")) await page.locator('[data-testid="close"]').first().waitFor({ state: "attached" });
       const found = await page.evaluate(() => ({
         taken: Boolean(window.taken) || /taken/.test(document.title), made: document.querySelectorAll("#app img[src=x], #app [onerror], #app script, #app a[href^='javascript'], #app iframe").length,
-        elsewhere: [...document.querySelectorAll("#app a[href]")].filter((one) => one.origin !== location.origin).map((one) => one.href), close: document.querySelectorAll('[data-testid="close"]').length,
+        elsewhere: [...document.querySelectorAll("#app a[href]")].filter((one) => one.origin !== location.origin).map((one) => one.href),
         wide: document.documentElement.scrollWidth - document.documentElement.clientWidth, path: location.pathname }));
-      assert.deepEqual({ ...found, close: 0, wide: 0 }, { taken: false, made: 0, elsewhere: [], close: 0, wide: 0, path: address });
+      assert.deepEqual({ ...found, wide: 0 }, { taken: false, made: 0, elsewhere: [], wide: 0, path: address });
       assert.ok(found.wide <= 0, `${found.wide} px too wide`);
-      if (address.startsWith("/t/")) assert.ok(found.close > 0, "Close is there whatever else comes");
     });
   }
   // A part that cannot be drawn says so on the console, as a warning of ours.
