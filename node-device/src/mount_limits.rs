@@ -146,6 +146,10 @@ pub struct LimitWatch {
     tracked: Option<bool>,
     /// It has tracked within its limits since it was moved or stood.
     was_within: bool,
+    /// The last that was seen of its motion before it came to rest is a slew: it is where somebody sent it.
+    has_arrived: bool,
+    /// The order after which it was read last that it slews.
+    went: Option<MachineTime>,
     /// It tracks beyond a limit.
     beyond_since: Option<MachineTime>,
     stopping: Option<Stopping>,
@@ -164,6 +168,8 @@ impl LimitWatch {
             still: None,
             tracked: None,
             was_within: false,
+            has_arrived: false,
+            went: None,
             beyond_since: None,
             stopping: None,
         }
@@ -173,14 +179,15 @@ impl LimitWatch {
     pub fn look(&mut self, now: MachineTime, sight: &MountSight, sky: &Observer, can_park: bool) -> Looked {
         let ordered = sight.ordered.map_or(MachineTime::from_boot(Duration::ZERO), |(_, at)| at);
         if let Some((true, _)) = asked_since(sight.at_park, ordered) {
-            self.moved();
+            self.moved(false);
             self.stopping = None;
             return Looked::nothing(Alarm::Leave);
         }
         if let Some((true, asked)) = asked_since(sight.slewing, ordered)
             && !self.is_still(sight, asked)
         {
-            self.moved();
+            self.moved(true);
+            self.went = Some(ordered);
             return match self.stopping.take_if(|stopping| !stopping.parks()) {
                 // Somebody slews it away from there.
                 Some(_) => Looked::nothing(Alarm::Leave),
@@ -209,6 +216,8 @@ impl LimitWatch {
         }
         if !tracks {
             (self.was_within, self.beyond_since) = (false, None);
+            // Once it was read that it stands, it is not where a slew has left it any more.
+            self.has_arrived &= flag.is_none() && motion != Motion::Stands;
             return Looked::nothing(Alarm::Leave);
         }
         let Some(why) = self.why(now, rest_since, sight, sky) else {
@@ -223,10 +232,10 @@ impl LimitWatch {
         self.go_on(now, says, can_park)
     }
 
-    /// The mount was moved: what was read before shows nothing of now.
-    fn moved(&mut self) {
+    /// The mount was moved, by a slew or with its park: what was read before shows nothing of now.
+    fn moved(&mut self, by_slew: bool) {
         (self.approach, self.at_rest, self.place_deg, self.tracked) = (Approach::default(), None, None, None);
-        (self.was_within, self.beyond_since) = (false, None);
+        (self.was_within, self.has_arrived, self.beyond_since) = (false, by_slew, None);
         self.coordinates.forget();
     }
 
@@ -292,15 +301,16 @@ impl LimitWatch {
         reached(&self.limits, &mut self.approach, &pointing, sky)
     }
 
-    /// A mount that has begun beyond its limits, and one that was sent somewhere, may yet be on its way.
+    /// A mount that has begun beyond its limits, and one that was sent somewhere, may yet be on its way. One that a slew has
+    /// brought there is not.
     fn may_yet_go(&self, now: MachineTime, beyond: MachineTime, ordered: Option<(Ordered, MachineTime)>) -> bool {
         if now.since(beyond) >= LONGEST {
             return false;
         }
         match ordered {
-            Some((Ordered::Go, at)) if now.since(at) < GOES => true,
+            Some((Ordered::Go, at)) if self.went != Some(at) && now.since(at) < GOES => true,
             Some((Ordered::Begin, at)) => !self.was_within && now.since(at.max(beyond)) < BEGINS,
-            _ => !self.was_within && now.since(beyond) < BEGINS,
+            _ => !self.was_within && !self.has_arrived && now.since(beyond) < BEGINS,
         }
     }
 

@@ -115,6 +115,7 @@ struct Fake {
     says_tracking: Option<bool>,
     says_altitude_deg: Option<f64>,
     hides_place: bool,
+    hides_tracking: bool,
     hides_all: bool,
     ordered: Option<(Ordered, MachineTime)>,
 }
@@ -139,6 +140,7 @@ impl Fake {
             says_tracking: None,
             says_altitude_deg: None,
             hides_place: false,
+            hides_tracking: false,
             hides_all: false,
             ordered: None,
         }
@@ -162,7 +164,7 @@ impl Fake {
             dec_deg: seen(self.dec_deg, self.hides_place),
             altitude_deg: seen(self.says_altitude_deg.unwrap_or(horizontal.altitude.degrees()), self.hides_place),
             azimuth_deg: seen(horizontal.azimuth.degrees(), self.hides_place),
-            tracking: flag(self.says_tracking.unwrap_or(self.tracks)),
+            tracking: flag(self.says_tracking.unwrap_or(self.tracks)).filter(|_| !self.hides_tracking),
             slewing: flag(seconds < self.slews_until_s),
             at_park: flag(self.parked),
             pier_side: self.side.map(|side| (side, asked)),
@@ -358,6 +360,44 @@ fn a_mount_that_is_left_tracking_below_its_limit_after_an_unpark_is_stopped() {
     };
     let (orders, _) = watched(&mut deaf, 0..300, &mut watch(), each);
     assert!(matches!(orders.first(), Some((120..=125, "off"))), "{orders:?}");
+}
+
+#[test]
+fn a_mount_that_somebody_slews_beyond_its_limit_is_stopped_where_it_arrives() {
+    for begins_parked in [true, false] {
+        let mut fake = Fake { ra_deg: Fake::coming_to_the_limit().ra_deg + 60.0, ..Fake::parked_low() };
+        (fake.parked, fake.tracks) = (begins_parked, !begins_parked);
+        let low_deg = Fake::parked_low().ra_deg;
+        // Another client moves it: this node ordered nothing.
+        let each = |fake: &mut Fake, second: u32| match second {
+            10 => (fake.parked, fake.slews_until_s) = (false, 25.0),
+            25 => {
+                (fake.ra_deg, fake.tracks, fake.slews_until_s) = (low_deg, true, -1.0);
+                // That it slews no more is read first.
+                (fake.hides_place, fake.hides_tracking) = (true, true);
+            }
+            28 => (fake.hides_place, fake.hides_tracking) = (false, false),
+            _ => {}
+        };
+        let (orders, _) = watched(&mut fake, 0..60, &mut watch(), each);
+        assert!(matches!(orders[..], [(28..=30, "off")]), "{orders:?}");
+    }
+}
+
+#[test]
+fn a_mount_that_went_where_it_was_sent_and_is_then_slewed_beyond_its_limit_is_stopped() {
+    let mut fake = Fake { parked: false, tracks: true, ..Fake::parked_low() };
+    let low_deg = fake.ra_deg;
+    fake.ra_deg += 60.0;
+    let each = |fake: &mut Fake, second: u32| match second {
+        5 => fake.ordered = Some((Ordered::Go, at(5.0).machine)),
+        6 => fake.slews_until_s = 9.0,
+        // It has arrived, and another client has sent it on between two looks.
+        9 => (fake.ra_deg, fake.slews_until_s, fake.ordered) = (low_deg, -1.0, Some((Ordered::Go, at(5.0).machine))),
+        _ => {}
+    };
+    let (orders, _) = watched(&mut fake, 0..14, &mut watch(), each);
+    assert!(matches!(orders[..], [(9..=12, "off")]), "{orders:?}");
 }
 
 #[test]

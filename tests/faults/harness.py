@@ -40,7 +40,8 @@ class Harness:
                  hosts: dict[str, str] | None = None, enter: dict[str, list[str]] | None = None,
                  connect: dict[str, list[str]] | None = None, disk_min_gb: float = 1.0,
                  exposure_s: float = EXPOSURE_S):
-        self.binary, self.name, self.real_clock = binary, name, real_clock
+        # as its processes name it themselves: `target` may be a link
+        self.binary, self.name, self.real_clock = os.path.realpath(binary), name, real_clock
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix=f"starmesh-faults-{name}-"))
         self.configuration = self.folder / "observatory.toml"
         self.data = data or self.folder / "data"

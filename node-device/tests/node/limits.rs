@@ -11,13 +11,14 @@ use crate::block;
 use crate::fake::{Fake, FakeAnswer};
 use crate::stage::{Stage, accepted, command};
 
-/// A mount in the open that stands 10 deg high, says that it tracks, and does nothing that it is ordered.
+/// A mount that says that it tracks, near the celestial pole which is below the horizon at all hours of a southern site,
+/// and does nothing that it is ordered.
 async fn a_deaf_mount() -> Fake {
     Fake::start(&[
         ("rightascension", json!(3.0)),
-        ("declination", json!(-20.0)),
-        ("altitude", json!(10.0)),
-        ("azimuth", json!(250.0)),
+        ("declination", json!(89.0)),
+        ("altitude", json!(-24.0)),
+        ("azimuth", json!(0.0)),
         ("tracking", json!(true)),
         ("slewing", json!(false)),
         ("atpark", json!(false)),
