@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use contract::Device;
 use contract::device::observing_conditions::Fields;
+use serde::{Deserialize, Serialize};
 use units::MachineTime;
 
 /// What moves with the air; the rest (rain, clouds, brightness) may stand still by nature.
@@ -27,6 +28,14 @@ pub struct Freeze {
 struct Still {
     values: BTreeMap<&'static str, Option<u64>>,
     since: MachineTime,
+}
+
+/// What of it survives a restart of this node: the values, and how long they had been the same when it was written,
+/// machine time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StoredStill {
+    values: BTreeMap<String, Option<u64>>,
+    still: Duration,
 }
 
 impl Still {
@@ -66,9 +75,30 @@ impl Freeze {
         self.stations.get(station).is_some_and(Still::is_enough)
     }
 
+    /// Goes on with what another one knows of a station.
+    pub fn take_over(&mut self, station: &Device, other: &Self) {
+        match other.stations.get(station) {
+            Some(still) => drop(self.stations.insert(station.clone(), still.clone())),
+            None => self.forget(station),
+        }
+    }
+
     /// Forgets a station, to observe it anew from its record.
     pub fn forget(&mut self, station: &Device) {
         self.stations.remove(station);
+    }
+
+    /// What is to be written of a station.
+    pub fn store(&self, station: &Device, now: MachineTime) -> Option<StoredStill> {
+        let Still { values, since } = self.stations.get(station)?;
+        let values = values.iter().map(|(name, bits)| ((*name).to_owned(), *bits)).collect();
+        Some(StoredStill { values, still: now.since(*since) })
+    }
+
+    /// Goes on with what was written of a station `then`.
+    pub fn restore(&mut self, station: &Device, stored: &StoredStill, then: MachineTime) {
+        let values = ANALOGUE.iter().filter_map(|name| Some((*name, *stored.values.get(*name)?))).collect();
+        self.stations.insert(station.clone(), Still { values, since: then.minus(stored.still) });
     }
 
     /// How long all values of each station have been the same.

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use serde::{Deserialize, Serialize};
 use units::{MachineTime, SkyTime};
 
 /// Both monotonic times of one instant: dwell is judged in sky time, age in machine time.
@@ -12,6 +13,25 @@ pub struct Now {
     pub sky: SkyTime,
     /// Machine time.
     pub machine: MachineTime,
+}
+
+/// How long before a moment something was, by both clocks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Ago {
+    machine: Duration,
+    sky: Duration,
+}
+
+impl Ago {
+    /// What was at `at`, seen from `now`.
+    pub fn of(at: Now, now: Now) -> Self {
+        Self { machine: now.machine.since(at.machine), sky: now.sky.since(at.sky) }
+    }
+
+    /// When that was, for one whose `now` this is.
+    pub fn before(self, now: Now) -> Now {
+        Now { sky: now.sky.minus(self.sky), machine: now.machine.minus(self.machine) }
+    }
 }
 
 /// One value of an input, or why there was none.
@@ -33,6 +53,29 @@ pub struct Record<T> {
     known_since: Option<SkyTime>,
     /// Why nothing has come since the newest entry, where the input's node reports that.
     silent: Option<String>,
+    /// The good record that another incarnation of this node received.
+    before: Option<GoodBefore>,
+    /// This incarnation has received something.
+    is_live: bool,
+}
+
+/// A good record without a gap, which ends with an entry that was restored.
+#[derive(Debug, Clone, Copy)]
+struct GoodBefore {
+    began: Now,
+    ends: Now,
+}
+
+/// What of a record survives a restart of this node, as it was when it was written.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StoredRecord<T> {
+    /// The newest bad value, where the record has one, and the newest entry.
+    entries: Vec<(Ago, Result<T, String>)>,
+    last_known: Option<(Ago, Result<T, String>)>,
+    /// When the first value came, or when the listening for it began.
+    known_since: Duration,
+    /// When the record that ends with the newest entry began, if it is good.
+    good_since: Option<Ago>,
 }
 
 /// More entries than any dwell needs; when they run out, the record starts later, which is the safe side.
@@ -40,7 +83,14 @@ const MOST_ENTRIES: usize = 50_000;
 
 impl<T> Default for Record<T> {
     fn default() -> Self {
-        Self { entries: VecDeque::new(), last_known: None, known_since: None, silent: None }
+        Self {
+            entries: VecDeque::new(),
+            last_known: None,
+            known_since: None,
+            silent: None,
+            before: None,
+            is_live: false,
+        }
     }
 }
 
@@ -69,6 +119,7 @@ impl<T: Clone> Record<T> {
     /// Adds the newest value.
     pub fn push(&mut self, entry: Entry<T>) {
         self.silent = None;
+        self.is_live = true;
         if entry.outcome.is_ok() {
             self.last_known = Some(entry.clone());
             self.known_since.get_or_insert(entry.at.sky);
@@ -86,9 +137,9 @@ impl<T: Clone> Record<T> {
         }
     }
 
-    /// Was no value ever received?
-    pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
+    /// Has this incarnation of the node received a value?
+    pub fn is_live(&self) -> bool {
+        self.is_live
     }
 
     /// The newest entry.
@@ -101,7 +152,7 @@ impl<T: Clone> Record<T> {
         self.last_known.as_ref()
     }
 
-    /// When the first value came, however long ago.
+    /// When the first value came, or when another incarnation began to listen for it, however long ago.
     pub fn known_since(&self) -> Option<SkyTime> {
         self.known_since
     }
@@ -135,15 +186,53 @@ impl<T: Clone> Record<T> {
         if !is_good(value) {
             return Evidence::Bad(value.clone());
         }
-        let mut first = newest;
-        for entry in self.entries.iter().rev().skip(1) {
+        Evidence::Good { since: self.good_since(newest, max_age, is_good).sky, newest: value.clone() }
+    }
+
+    /// When the good record that ends with the newest entry began.
+    fn good_since(&self, newest: &Entry<T>, max_age: Duration, is_good: impl Fn(&T) -> bool) -> Now {
+        let mut since = newest.at;
+        for entry in self.entries.iter().rev() {
             let good = entry.outcome.as_ref().is_ok_and(&is_good);
-            if !good || first.at.machine.since(entry.at.machine) > max_age {
+            if !good || since.machine.since(entry.at.machine) > max_age {
                 break;
             }
-            first = entry;
+            since = entry.at;
+            if let Some(before) = self.before.filter(|before| before.ends == entry.at) {
+                return before.began;
+            }
         }
-        Evidence::Good { since: first.at.sky, newest: value.clone() }
+        since
+    }
+
+    /// What is to be written of it; the listening began at `since`.
+    pub fn store(&self, now: Now, max_age: Duration, since: SkyTime, is_good: impl Fn(&T) -> bool) -> StoredRecord<T> {
+        let stored = |entry: &Entry<T>| (Ago::of(entry.at, now), entry.outcome.clone());
+        let is_bad = |entry: &&Entry<T>| entry.outcome.as_ref().is_ok_and(|value| !is_good(value));
+        let earlier = self.entries.iter().rev().skip(1).find(is_bad);
+        let good = self.newest().filter(|newest| newest.outcome.as_ref().is_ok_and(&is_good));
+        StoredRecord {
+            entries: earlier.into_iter().chain(self.newest()).map(stored).collect(),
+            last_known: self.last_known.as_ref().map(stored),
+            known_since: now.sky.since(self.known_since.map_or(since, |known| known.min(since))),
+            good_since: good.map(|newest| Ago::of(self.good_since(newest, max_age, &is_good), now)),
+        }
+    }
+
+    /// The record of another incarnation of this node, which wrote it `then`. It counts as far as live values join it.
+    pub fn of_stored(stored: &StoredRecord<T>, then: Now) -> Self {
+        let entry =
+            |(ago, outcome): &(Ago, Result<T, String>)| Entry { at: ago.before(then), outcome: outcome.clone() };
+        let entries: VecDeque<Entry<T>> = stored.entries.iter().map(entry).collect();
+        let ends = entries.back().map(|newest| newest.at);
+        Self {
+            before: ends.zip(stored.good_since).map(|(ends, ago)| GoodBefore { began: ago.before(then), ends }),
+            entries,
+            last_known: stored.last_known.as_ref().map(entry),
+            known_since: Some(then.sky.minus(stored.known_since)),
+            silent: None,
+            is_live: false,
+        }
     }
 }
 

@@ -23,7 +23,8 @@
 //!
 //! - [`rules`]: the configured inputs and limits; [`measure`]: what of a parameter a limit is put on.
 //! - [`history`]: the states of one input, as far back as its dwell looks; [`received`]: the states of all inputs.
-//! - [`recall`]: what a device node recorded before this node listened, placed on this node's clocks.
+//! - [`recall`]: what a device node recorded before this node listened, placed on this node's clocks;
+//!   [`stored_history`]: what this node itself received before it was restarted.
 //! - [`contradiction`]: values of a weather station that exclude each other; [`frozen`]: a station whose values do not
 //!   move; [`wind`]: directions to avoid.
 //! - [`nodes`]: clocks and disks of the other machines; [`clocks`]: what time it may be; [`sun`]: where the Sun stands
@@ -51,6 +52,8 @@
 //!   (`clocks.rs`).
 //! - Evidence from the past counts only where it joins the live states; live states alone show what is true now
 //!   (decision 0012): `recalled_evidence_without_live_states_is_not_what_is_now`.
+//! - What this node wrote before a restart counts like what it received, and no longer (decision 0150):
+//!   `a_restart_within_the_allowed_age_is_judged_as_if_nothing_had_come_meanwhile`.
 //! - What may have happened before this node subscribed is unknown, and unknown is unsafe, also within the window of a
 //!   largest value: `a_maximum_is_known_once_its_window_has_filled_since_the_listening_began`.
 //! - No answer is no reading: the one before stays the newest until it is too old (decision 0129):
@@ -79,6 +82,7 @@ pub mod ordered_by;
 pub mod recall;
 pub mod received;
 pub mod rules;
+pub mod stored_history;
 pub mod sun;
 pub mod takeover;
 pub mod wind;

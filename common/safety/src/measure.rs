@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use serde::{Deserialize, Serialize};
 use units::SkyTime;
 
 /// What is measured.
@@ -24,6 +25,13 @@ pub struct Window {
     known_since: Option<SkyTime>,
 }
 
+/// What of a window survives a restart of this node: how old everything was when it was written, sky time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StoredWindow {
+    values: Vec<(Duration, f64)>,
+    known_since: Option<Duration>,
+}
+
 impl Measure {
     /// The window that it is taken over, sky time.
     pub fn over(self) -> Duration {
@@ -38,6 +46,18 @@ impl Window {
     /// One that knows nothing of the time before: the largest of a window is not known before it is full.
     pub fn since(since: SkyTime) -> Self {
         Self { values: VecDeque::new(), known_since: Some(since) }
+    }
+
+    /// What is to be written of it.
+    pub fn store(&self, now: SkyTime) -> StoredWindow {
+        let values = self.values.iter().map(|(at, value)| (now.since(*at), *value)).collect();
+        StoredWindow { values, known_since: self.known_since.map(|since| now.since(since)) }
+    }
+
+    /// The window that was written `then`.
+    pub fn of_stored(stored: &StoredWindow, then: SkyTime) -> Self {
+        let values = stored.values.iter().map(|(ago, value)| (then.minus(*ago), *value)).collect();
+        Self { values, known_since: stored.known_since.map(|ago| then.minus(ago)) }
     }
 
     /// The measure with one more value, or why it has none yet.

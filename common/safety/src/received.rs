@@ -7,8 +7,9 @@ use contract::device::observing_conditions::{Fields as Weather, made_of};
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::{Fields as Switches, number_of};
 use contract::{Datum, Device, DeviceState, Link, NoData};
-use units::SkyTime;
+use serde::{Deserialize, Serialize};
 use units::seconds;
+use units::{MachineTime, SkyTime};
 
 use super::contradiction::{Contradiction, contradiction};
 use super::frozen::Freeze;
@@ -28,7 +29,7 @@ const MOST_ALLOWED: Duration = Duration::from_secs(60);
 const ANSWERS: Duration = Duration::from_secs(2);
 
 /// The received state of a safety monitor.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MonitorReading {
     /// Its `IsSafe`.
     pub is_safe: bool,
@@ -37,7 +38,7 @@ pub struct MonitorReading {
 }
 
 /// What a limit was put on, at one moment.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
     /// The value of the measure.
     pub value: f64,
@@ -45,7 +46,9 @@ pub struct Measured {
     pub tripped: bool,
     /// The time after which all of its window is known, sky time.
     pub unknown_for: Duration,
-    /// Values of the station excluded each other, so that none of them is good.
+    /// Values of the station excluded each other, so that none of them is good; what was written before a restart only
+    /// says that it was not good.
+    #[serde(skip)]
     pub contradiction: Option<Contradiction>,
 }
 
@@ -59,7 +62,11 @@ pub struct History {
     /// One record per limit of the rules.
     pub limits: Vec<Record<Measured>>,
     /// What the limits' measures are made of.
-    windows: Vec<Window>,
+    pub(crate) windows: Vec<Window>,
+    /// The limits as another incarnation of this node wrote them, until the time since then is known.
+    pub(crate) restored: Vec<Option<(Record<Measured>, Window)>>,
+    /// The same of stations that may stand still.
+    pub(crate) restored_freeze: Freeze,
     /// Devices whose record of the time before was not received to its end.
     awaited: BTreeSet<Device>,
     /// Since when the stations' values stand still.
@@ -69,7 +76,7 @@ pub struct History {
     /// The state of the machines.
     pub nodes: Nodes,
     /// How often each device is asked, as its node publishes, machine time.
-    polls: BTreeMap<Device, Duration>,
+    pub(crate) polls: BTreeMap<Device, Duration>,
     /// Sky seconds in a machine second.
     pub speed: f64,
     /// Where the Sun is.
@@ -89,6 +96,8 @@ impl History {
                 .iter()
                 .map(|rule| if rule.needs_each() { Window::default() } else { Window::since(since) })
                 .collect(),
+            restored: rules.limits.iter().map(|_| None).collect(),
+            restored_freeze: Freeze::default(),
             awaited: rules.limits.iter().map(|rule| rule.device.clone()).collect(),
             freeze: Freeze::default(),
             winds: Winds::default(),
@@ -223,6 +232,12 @@ impl History {
         speed: f64,
     ) -> Result<(), String> {
         self.awaited.remove(device);
+        if let Some(until) = self.go_on(rules, device, &states) {
+            for placed in states.into_iter().filter(|placed| placed.at.machine > until) {
+                self.weather(rules, device, &state(placed.link, placed.fields), &placed.ages_s, speed, placed.at);
+            }
+            return Ok(());
+        }
         let mut freeze = Freeze::default();
         let answers = states.iter().filter(|placed| placed.link == Link::Connected);
         let moves = answers.filter(|placed| freeze.observe(device, &placed.fields, placed.at.machine)).count();
@@ -243,10 +258,37 @@ impl History {
     /// The same for a set of switches, whose values may stand still for ever.
     pub fn recall_switch(&mut self, rules: &Rules, device: &Device, states: Vec<PlacedState<Switches>>) {
         self.awaited.remove(device);
-        self.forget(rules, device, states.first().map(|first| first.at));
-        for placed in states {
+        let until = self.go_on(rules, device, &states);
+        if until.is_none() {
+            self.forget(rules, device, states.first().map(|first| first.at));
+        }
+        for placed in states.into_iter().filter(|placed| until.is_none_or(|until| placed.at.machine > until)) {
             self.switch(rules, device, &state(placed.link, placed.fields), &placed.ages_s, placed.at);
         }
+    }
+
+    /// Where the states of a device join what another incarnation of this node wrote, begins with that in place of what
+    /// was received since, and gives the time of its newest value: the states after it follow.
+    fn go_on<F>(&mut self, rules: &Rules, device: &Device, states: &[PlacedState<F>]) -> Option<MachineTime> {
+        let own = rules.limits.iter().enumerate().filter(|(_, rule)| rule.device == *device);
+        let (mut taken, mut ends) = (Vec::new(), Vec::new());
+        for (index, rule) in own {
+            let stored = self.restored.get_mut(index)?.take()?;
+            ends.extend(stored.0.newest().map(|newest| (newest.at.machine, self.allowed(rule))));
+            taken.push((index, stored));
+        }
+        let until = ends.iter().map(|(ends, _)| *ends).max()?;
+        let next = states.iter().map(|placed| placed.at.machine).find(|at| *at > until)?;
+        if ends.iter().any(|(ends, allowed)| next.since(*ends) > *allowed) {
+            return None;
+        }
+        for (index, stored) in taken {
+            if let (Some(record), Some(window)) = (self.limits.get_mut(index), self.windows.get_mut(index)) {
+                (*record, *window) = stored;
+            }
+        }
+        self.freeze.take_over(device, &self.restored_freeze);
+        Some(until)
     }
 
     /// Forgets the received states of a device, to observe it anew from its record, which begins then.
@@ -317,9 +359,7 @@ impl History {
 
     /// Has every input been received at least once, and its node's record of the time before?
     pub fn all_received(&self) -> bool {
-        self.awaited.is_empty()
-            && !self.monitors.iter().any(Record::is_empty)
-            && !self.limits.iter().any(Record::is_empty)
+        self.awaited.is_empty() && self.monitors.iter().all(Record::is_live) && self.limits.iter().all(Record::is_live)
     }
 }
 

@@ -7,6 +7,11 @@ use bus::MachineTime;
 use safety::clocks::{Anchor, Clocks};
 use units::Utc;
 
+/// Which boot of the machine this is, as its kernel names it; empty where it does not.
+pub fn boot() -> String {
+    std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default().trim().to_owned()
+}
+
 /// The file of the anchor; none for a clock that follows a simulator.
 #[derive(Debug)]
 pub struct ClockFile(Option<PathBuf>);
@@ -19,7 +24,7 @@ impl ClockFile {
 
     /// Begins to watch the clocks from the anchor in the file, or from now, which it writes there.
     pub fn watch(&self, speed: f64, utc: Utc, now: MachineTime) -> Clocks {
-        let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default().trim().to_owned();
+        let boot = boot();
         let stored = self.0.as_ref().and_then(|file| std::fs::read(file).ok());
         let stored = stored.and_then(|bytes| serde_json::from_slice::<Anchor>(&bytes).ok());
         let mut clocks = Clocks::new(stored, boot, speed, utc, now);

@@ -16,10 +16,12 @@ use safety::history::Now;
 use safety::judge::{Judgement, judge};
 use safety::received::History;
 use safety::rules::Rules;
+use safety::stored_history::{Moment, StoredHistory};
 use safety::sun::Sun;
 use tokio::sync::watch;
 
-use super::clock_file::ClockFile;
+use super::clock_file::{self, ClockFile};
+use super::record_file::{self, RecordFile};
 use super::subscribers::{self, Word};
 use super::verdict_file;
 
@@ -58,6 +60,13 @@ pub async fn keep_judging(
     let past = verdict_file::path(&node.config);
     let read = past.clone();
     let mut past_verdicts = tokio::task::spawn_blocking(move || verdict_file::read(&read)).await?;
+    let boot = clock_file::boot();
+    let moment = || Moment { boot: boot.clone(), now: now(&clock), utc: clock.utc(), speed: clock.speed() };
+    let record = record_file::path(&node.config, &node.id);
+    let read = record.clone();
+    let stored = tokio::task::spawn_blocking(move || record_file::read(&read)).await?;
+    go_on(&mut history, &rules, stored, &moment());
+    let mut record_file = RecordFile::open(record);
     loop {
         let (utc, machine) = (clock.utc(), clock.machine());
         let doubts = clocks.doubts(utc, machine, &history.nodes.witnesses(&host, machine));
@@ -75,6 +84,7 @@ pub async fn keep_judging(
             keep(past.clone(), ended);
         }
         publish(&verdict, judgement, past_verdicts.published(), settled, &clock);
+        record_file.keep(clock.machine(), || history.store(&rules, &moment()));
         tokio::select! {
             (name, state) = recv_node(&nodes) => {
                 let own = clock.utc();
@@ -105,6 +115,21 @@ fn report(alerts: &node::NodeAlerts, doubts: &[Doubt]) {
 
 fn now(clock: &Clock) -> Now {
     Now { sky: clock.sky(), machine: clock.machine() }
+}
+
+/// Begins with what the incarnation before received, as far as it fits.
+fn go_on(history: &mut History, rules: &Rules, stored: Result<Option<StoredHistory>, String>, moment: &Moment) {
+    let restored = stored.and_then(|stored| stored.map(|stored| history.restore(rules, &stored, moment)).transpose());
+    match restored {
+        Ok(None) => {}
+        Ok(Some(passed_over)) => {
+            tracing::info!(left_out = passed_over.len(), "what was received before the restart counts");
+            for (input, why) in passed_over {
+                tracing::warn!(input, why, "what was received before the restart does not count");
+            }
+        }
+        Err(why) => tracing::warn!(why, "what was received before the restart does not count"),
+    }
 }
 
 fn take_in(history: &mut History, rules: &Rules, word: Word, speed: f64) {
