@@ -176,8 +176,8 @@ async fn once(
                 if slews(mount) {
                     return Ok(Ended::Turned("the mount slews".to_owned()));
                 }
-                if let Some(why) = pulse::objection(&context.tools.authority, &context.row, mount) {
-                    return Err(failed(mount, why));
+                if let Some(refused) = pulse::objection(&context.tools.authority, &context.row, mount) {
+                    return Err(failed(mount, refused.why));
                 }
                 count += 1;
                 pulse::pulse(mount, ascom(*direction), *length_ms).await?;

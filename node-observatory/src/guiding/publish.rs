@@ -76,7 +76,7 @@ pub fn correction(
         fwhm_px: seen.measured.as_ref().ok().and_then(|measured| measured.fwhm_px).and_then(if_finite),
         transparency: shift.and_then(|shift| shift.transparency).and_then(if_finite),
         method: shift.map(|_| seen.method),
-        reason: seen.reason.clone().or_else(|| given.refused.clone()),
+        reason: seen.reason.clone().or_else(|| given.refused.as_ref().map(|refused| refused.why.clone())),
         east: axis(decision.east, &decision.log.east, decision.pulses.east_ms, given.east),
         north: axis(decision.north, &decision.log.north, decision.pulses.north_ms, given.north),
         rms_px,

@@ -23,8 +23,40 @@ pub struct Given {
     pub east: Taken,
     /// Declination.
     pub north: Taken,
-    /// Why the mount did not take one.
-    pub refused: Option<String>,
+    /// Why one was not given.
+    pub refused: Option<Refused>,
+}
+
+/// A pulse that was not given.
+#[derive(Debug)]
+pub struct Refused {
+    /// Why, in words.
+    pub why: String,
+    /// It is the mount's doing. Otherwise this node kept it back, because the row ends or the sky is not safe, and
+    /// nobody is to be called for that.
+    pub by_mount: bool,
+}
+
+impl From<String> for Refused {
+    fn from(why: String) -> Self {
+        Self { why, by_mount: true }
+    }
+}
+
+impl From<&str> for Refused {
+    fn from(why: &str) -> Self {
+        why.to_owned().into()
+    }
+}
+
+impl Given {
+    /// So many frames in a row were followed by pulses that the mount did not take, after this one.
+    pub fn refusals(&self, before: u32) -> u32 {
+        match &self.refused {
+            None => 0,
+            Some(refused) => before + u32::from(refused.by_mount),
+        }
+    }
 }
 
 /// A slew that keeps a pulse from its mount shows itself within this, machine time.
@@ -35,27 +67,21 @@ const SLEW_OVER: Duration = Duration::from_secs(300);
 const OVER_WITHIN: Duration = Duration::from_secs(10);
 
 /// The objection to pulses now, if there is one. Only a state that is known to be good is good.
-pub fn objection(authority: &Authority, row: &Row, mount: &Mount) -> Option<String> {
+pub fn objection(authority: &Authority, row: &Row, mount: &Mount) -> Option<Refused> {
     if let Some(objection) = authority.objection(Some(row)) {
-        return Some(objection.to_string());
+        return Some(Refused { why: objection.to_string(), by_mount: false });
     }
     if authority.node.bus.clock().utc() >= row.end {
-        return Some("the row's window has ended".to_owned());
+        return Some(Refused { why: "the row's window has ended".to_owned(), by_mount: false });
     }
-    let Some(state) = mount.instrument.fresh() else {
-        return Some("the mount does not report on which side of the pier it is".to_owned());
+    let why = match mount.instrument.fresh() {
+        None => "the mount does not report on which side of the pier it is",
+        Some(state) if state.fields.slewing.known() != Some(&false) => "the mount slews",
+        Some(state) if state.fields.tracking.known() != Some(&true) => "the mount does not track",
+        Some(state) if state.fields.at_park.known() == Some(&true) => "the mount is parked",
+        Some(_) => return None,
     };
-    let fields = state.fields;
-    if fields.slewing.known() != Some(&false) {
-        return Some("the mount slews".to_owned());
-    }
-    if fields.tracking.known() != Some(&true) {
-        return Some("the mount does not track".to_owned());
-    }
-    if fields.at_park.known() == Some(&true) {
-        return Some("the mount is parked".to_owned());
-    }
-    None
+    Some(why.into())
 }
 
 /// Gives both pulses, one after the other: ASCOM lets a mount refuse a second one while the first runs.
@@ -80,7 +106,7 @@ async fn push(
     mount: &Mount,
     direction: Direction,
     signed_ms: i32,
-    refused: &mut Option<String>,
+    refused: &mut Option<Refused>,
 ) -> (f64, i32) {
     let clock = authority.node.bus.clock();
     if let Some(why) = objection(authority, row, mount) {
@@ -92,7 +118,7 @@ async fn push(
         Ok(()) => (begun_s, signed_ms),
         Err(error) => {
             let is_taken = !matches!(error, ActionError::Refused { .. } | ActionError::Unanswered { .. });
-            refused.get_or_insert(error.to_string());
+            refused.get_or_insert(error.to_string().into());
             (begun_s, if is_taken { signed_ms } else { 0 })
         }
     }
@@ -116,5 +142,23 @@ pub async fn pulse(mount: &Mount, direction: Direction, duration_ms: u32) -> Res
             Err(_) => Err(failed),
         },
         done => done.map(|_| ()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_pulses_that_the_mount_did_not_take_are_counted() {
+        let given = |by_mount: Option<bool>| {
+            let refused = by_mount.map(|by_mount| Refused { why: "why".to_owned(), by_mount });
+            Given { refused, ..Given::default() }
+        };
+        let after = |frames: &[Option<bool>]| frames.iter().fold(0, |before, frame| given(*frame).refusals(before));
+        assert_eq!(after(&[Some(true), Some(true), Some(true)]), 3);
+        assert_eq!(after(&[Some(false), Some(false), Some(false)]), 0, "the row's window has ended");
+        assert_eq!(after(&[Some(true), Some(false), Some(true)]), 2);
+        assert_eq!(after(&[Some(true), None, Some(true)]), 1);
     }
 }

@@ -8,7 +8,7 @@ use schedule::Row;
 use units::seconds;
 
 use super::calibrated::binned;
-use super::pulse;
+use super::pulse::{self, Refused};
 use super::session::Session;
 use crate::authority::Authority;
 use crate::devices::telescope::Mount;
@@ -43,9 +43,9 @@ pub fn offset_to_reference_deg(session: &Session, solution: &Solution) -> Result
 ///
 /// # Errors
 /// In words, when it may not be moved, the way is too far, or it does not arrive.
-pub async fn slew_by(authority: &Authority, row: &Row, mount: &Mount, [ra, dec]: [f64; 2]) -> Result<(), String> {
-    if let Some(why) = pulse::objection(authority, row, mount) {
-        return Err(why);
+pub async fn slew_by(authority: &Authority, row: &Row, mount: &Mount, [ra, dec]: [f64; 2]) -> Result<(), Refused> {
+    if let Some(refused) = pulse::objection(authority, row, mount) {
+        return Err(refused);
     }
     let fields = mount
         .instrument
@@ -53,11 +53,11 @@ pub async fn slew_by(authority: &Authority, row: &Row, mount: &Mount, [ra, dec]:
         .map(|state| state.fields)
         .ok_or("the mount does not report on which side of the pier it is")?;
     let (Some(ra_deg), Some(dec_deg)) = (fields.ra_deg.known(), fields.dec_deg.known()) else {
-        return Err("the mount does not report where it points".to_owned());
+        return Err("the mount does not report where it points".into());
     };
     let way_deg = (ra * dec_deg.to_radians().cos()).hypot(dec);
     if way_deg.is_nan() || way_deg > FURTHEST_DEG {
-        return Err(format!("the field is {way_deg:.2} deg off, more than {FURTHEST_DEG}: point again"));
+        return Err(format!("the field is {way_deg:.2} deg off, more than {FURTHEST_DEG}: point again").into());
     }
     let slew = Command::Slew { ra_deg: (ra_deg + ra).rem_euclid(360.0), dec_deg: (dec_deg + dec).clamp(-90.0, 90.0) };
     let most = seconds(mount.config.slew_timeout_s);

@@ -17,7 +17,7 @@ use units::{Utc, seconds};
 
 use super::learned;
 use super::publish::{self, Residuals};
-use super::pulse::{self, Given};
+use super::pulse::{self, Given, Refused};
 use super::session::{LISTED_WITHIN, NoSession, Session};
 use super::{GuidingData, Wanted, calibrated, recovery};
 use crate::action_error::ActionError;
@@ -304,7 +304,7 @@ impl Loop {
         self.frames += 1;
         let is_given = [given.east, given.north].iter().flatten().any(|(_, ms)| *ms != 0);
         self.corrected += u32::from(is_given);
-        self.refusals = if given.refused.is_some() { self.refusals + 1 } else { 0 };
+        self.refusals = given.refusals(self.refusals);
         let further_action = self.follow_up(mount, fetched, &decision).await;
         self.judge(&decision, &given);
         let record = Correction { further_action, ..record };
@@ -350,7 +350,7 @@ impl Loop {
     async fn slew(&mut self, mount: &Mount, offset: Result<[f64; 2], String>) -> String {
         let slewed = match offset {
             Ok(offset) => recovery::slew_by(&self.tools.authority, &self.row, mount, offset).await.map(|()| offset),
-            Err(why) => Err(why),
+            Err(why) => Err(why.into()),
         };
         match slewed {
             Ok([ra, dec]) => {
@@ -366,10 +366,12 @@ impl Loop {
                 tracing::warn!(object = self.wanted.object, report, "the field was lost");
                 report
             }
-            Err(why) => {
+            Err(Refused { why, by_mount }) => {
                 let report = format!("not slewed back: {why}");
                 tracing::warn!(object = self.wanted.object, report, "the field is lost");
-                self.complain(&report);
+                if by_mount {
+                    self.complain(&report);
+                }
                 report
             }
         }
@@ -389,8 +391,8 @@ impl Loop {
     fn judge(&self, decision: &Decision, given: &Given) {
         let (alerts, camera) = (&self.tools.authority.node.alerts, &self.camera);
         if self.refusals >= FAILURES_BEFORE_ALERT {
-            let why = given.refused.as_deref().unwrap_or_default();
-            self.complain(&format!("{} pulses in a row were not given; the last: {why}", self.refusals));
+            let why = given.refused.as_ref().map(|refused| refused.why.as_str()).unwrap_or_default();
+            self.complain(&format!("the mount took no pulse after {} frames in a row; the last: {why}", self.refusals));
         } else if self.session.as_ref().is_some_and(|session| session.repeats >= FAILURES_BEFORE_ALERT) {
             self.complain(&format!("{camera} repeats its last frame, pixel by pixel: nothing is seen of the sky"));
         } else if let Some(unstable) = decision.log.unstable {
