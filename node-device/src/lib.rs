@@ -153,6 +153,10 @@ async fn serve_devices(node: Node, guarded: Option<(GuardLink, NodeOptions)>) ->
     };
     if let Some(spool) = spool {
         spool.settle(std::time::Duration::from_secs(10)).await;
+        tasks.shutdown().await;
+        if let Err(died) = tokio::task::spawn_blocking(move || spool.sweep_at_the_end()).await {
+            tracing::error!(%died, "the spool could not be swept");
+        }
     }
     tasks.shutdown().await;
     audit.end().await;

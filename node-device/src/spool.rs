@@ -289,7 +289,15 @@ impl Spool {
 
     /// Removes released frames whose time has run out. Blocks.
     pub fn sweep(&self, now: MachineTime) {
-        let over = |entry: &Entry| entry.released && entry.announced.is_some_and(|at| now.since(at) >= KEEP);
+        self.remove(|entry| entry.released && entry.announced.is_some_and(|at| now.since(at) >= KEEP));
+    }
+
+    /// Removes released frames when the node ends, after which nobody fetches them. Blocks.
+    pub fn sweep_at_the_end(&self) {
+        self.remove(|entry| entry.released);
+    }
+
+    fn remove(&self, over: impl Fn(&Entry) -> bool) {
         let gone: Vec<String> =
             self.entries().iter().filter(|(_, entry)| over(entry)).map(|(name, _)| name.clone()).collect();
         for name in gone {

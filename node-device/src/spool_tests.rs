@@ -57,6 +57,25 @@ fn a_frame_survives_a_restart_and_goes_only_when_it_is_released_and_old() {
 }
 
 #[test]
+fn at_the_end_of_the_node_stored_frames_go_and_the_others_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let spool = open(folder.path());
+    for id in ["stored", "not announced yet", "waits"] {
+        spool.store(&image(), about(id)).unwrap();
+    }
+    spool.announced(&CommandId("stored".to_owned()), at(100));
+    let sha256 = spool.unreleased(&"cam".parse().unwrap())[0].sha256.clone();
+    for id in ["stored", "not announced yet"] {
+        spool.release(&CommandId(id.to_owned()), &sha256, "archive/alpha/main").unwrap();
+    }
+    spool.sweep(at(101));
+    assert!(spool.holds(&CommandId("stored".to_owned())), "guiding may fetch it");
+    spool.sweep_at_the_end();
+    let left: BTreeSet<_> = fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().file_name()).collect();
+    assert_eq!(left, ["waits.json", "waits.pixels"].map(Into::into).into());
+}
+
+#[test]
 fn what_a_crash_leaves_half_written_is_no_frame() {
     let folder = tempfile::tempdir().unwrap();
     let spool = open(folder.path());
