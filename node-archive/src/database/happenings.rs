@@ -39,6 +39,15 @@ CREATE TABLE fluxes (
 CREATE INDEX fluxes_series ON fluxes (series);
 ";
 
+/// The addition of version 12: verdicts with their reasons, one a row.
+pub(super) const VERDICTS: &str = "
+CREATE VIEW verdicts AS
+    SELECT telescope, datetime AS began, last, json_extract(state, '$.verdict') AS verdict,
+        json_extract(reason.value, '$.input') AS input, json_extract(reason.value, '$.why') AS why
+    FROM states LEFT JOIN json_each(states.state, '$.reasons') AS reason
+    WHERE part = 'safety';
+";
+
 /// Writes a state where it is another one than before, or comes after a gap.
 pub(super) fn write_state(
     transaction: &Transaction<'_>,
