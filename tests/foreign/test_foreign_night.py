@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import pathlib
+import shlex
 import shutil
 import sqlite3
 import subprocess
@@ -25,6 +26,7 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
 from bus_subscriber import BusSubscriber
+from shared import PROJECT
 from site_under_test import ELEVATION, LATITUDE, LONGITUDE, PREFIX, Record, Site, dense_field, observing
 
 HERE = EarthLocation.from_geodetic(LONGITUDE, LATITUDE, ELEVATION)
@@ -127,12 +129,10 @@ def with_url(site: Site, record: NightRecord):
 
 
 def zenoh_cli(site: Site) -> set[str]:
-    """The command of the README, with this bus's port: roles of the nodes whose state it shows within 45 s.
-
-    It prints payloads without their keys, one a line; a node's state names its role.
-    """
+    """The command of the README, with this bus's port: roles of the nodes whose state it shows, by its key, within 45 s."""
+    printed = next(line for line in (PROJECT / "README.md").read_text().splitlines() if line.startswith("zenoh "))
     program = pathlib.Path(sys.executable).with_name("zenoh")
-    command = [str(program), "--mode", "client", "--connect", site.endpoint, "subscribe", "-k", "starmesh/**", "--decoder", "json"]
+    command = [str(program), *shlex.split(printed.replace("tcp/127.0.0.1:PORT", site.endpoint))[1:]]
     # into a pipe Python would keep its last lines to itself
     listening = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
                                  env={**os.environ, "PYTHONUNBUFFERED": "1"})
@@ -140,10 +140,11 @@ def zenoh_cli(site: Site) -> set[str]:
 
     def read():
         for line in listening.stdout:
-            with contextlib.suppress(ValueError, TypeError):
-                payload = json.loads(line)
-                if "uptime_s" in payload:
-                    roles.add(payload["role"])
+            key, _, payload = line.partition(" ")
+            parts = key.split("/")
+            with contextlib.suppress(ValueError):
+                if parts[-1] == "state" and parts[4:5] == ["node"] and "uptime_s" in json.loads(payload):
+                    roles.add(parts[5])
 
     reader = threading.Thread(target=read, daemon=True)
     reader.start()

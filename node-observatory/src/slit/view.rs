@@ -209,14 +209,13 @@ impl<'a> View<'a> {
         tracing::info!(dome = %dome.device.name, azimuth_deg, "turning the slit");
         self.dome.forget_azimuth();
         let state = dome.execute(Command::SlewToAzimuth { azimuth_deg }, seconds(self.dome.slit.timeout_s)).await?;
-        let off_deg = |stands: &f64| Angle::from_degrees(stands - azimuth_deg).wrapped_signed().abs().degrees();
-        match state.fields.azimuth_deg.known() {
-            Some(stands) if off_deg(stands) > self.error.degrees().max(0.1) => {
-                let reason = format!("it stands at {stands:.1} deg");
+        let stands = state.fields.azimuth_deg.known();
+        match stands.and_then(|stands| missed(&self.dome.slit, *stands, azimuth_deg)) {
+            Some(reason) => {
                 let (device, verb) = (dome.device.to_string(), format!("turn to {azimuth_deg:.1} deg"));
                 Err(ActionError::Failed { device, verb, reason })
             }
-            _ => Ok(()),
+            None => Ok(()),
         }
     }
 
@@ -232,6 +231,12 @@ impl<'a> View<'a> {
     pub fn is_slaved(&self) -> bool {
         self.fields().is_some_and(|fields| fields.slaved.known() == Some(&true))
     }
+}
+
+/// Why a turn that has ended did not arrive, if so: by the tolerance by which its device node calls it done.
+fn missed(slit: &config::Slit, stands_deg: f64, asked_deg: f64) -> Option<String> {
+    let off_deg = Angle::from_degrees(stands_deg - asked_deg).wrapped_signed().abs().degrees();
+    (off_deg > slit.arrived_deg().max(0.1)).then(|| format!("it stands at {stands_deg:.1} deg"))
 }
 
 /// Where a slit at `azimuth` is to be turned now, if it is: only when it hides a part of the view or will
@@ -278,6 +283,15 @@ mod tests {
 
     fn deg(degrees: f64) -> Angle {
         Angle::from_degrees(degrees)
+    }
+
+    #[test]
+    fn a_turn_that_its_device_node_calls_done_has_arrived() {
+        let unknown = config::Slit::default();
+        let known = config::Slit { width_m: Some(2.0), radius_m: Some(3.0), ..unknown };
+        assert_eq!(missed(&unknown, 359.2, 1.0), None, "tolerance_deg is all that is known of this dome");
+        assert_eq!(missed(&known, 75.8, 77.2).as_deref(), Some("it stands at 75.8 deg"));
+        assert_eq!((missed(&known, 76.4, 77.2), missed(&unknown, 70.0, 77.2).is_some()), (None, true));
     }
 
     #[test]
