@@ -119,6 +119,16 @@ def up_crash_loop(harness):
     yield
 
 
+@case("all nodes are killed at once and started again: nothing closes", "N1 N4", group=RESTARTED, watch_s=20.0)
+def all_restarted(harness):
+    """What the observatory node wrote says that the sky was good until then: no dwell starts anew."""
+    nodes = ["dome", "hands", "observatory", "archive", "web"]
+    harness.kill(*nodes)
+    for node in nodes:
+        harness.start(node)
+    yield
+
+
 def twice(node: str):
     """A second device node for the same devices, as after a mistaken start on another host."""
     def run(harness):
