@@ -1,4 +1,5 @@
-"""Types docs/operator/first-night.md into three terminals, in a network namespace of its own: `guide.py STARMESH DOCUMENT HOME`.
+"""Types docs/operator/first-night.md into three terminals, in a network namespace of its own: `guide.py STARMESH DOCUMENT HOME PAUSE_S`,
+with a pause before each block, as somebody makes who reads it first.
 
 The document is the script. A block `sh` begins with the terminal that its lines are typed into; a block `text` after it is what that
 terminal must show since, line by line, where `...` stands for anything and any width of white space for white space. A line with the
@@ -15,8 +16,8 @@ import sys
 import threading
 import time
 
-# how long a reader waits for what a command shows, s
-LIMIT_S = 120
+# how long a reader waits for what a command shows, s; only what never comes takes so long
+LIMIT_S = 900
 # and how long before they type it again, s
 AGAIN_S = 2.0
 CTRL_C = "# press Ctrl-C"
@@ -101,11 +102,13 @@ def is_shown(terminal: Terminal, expected: list[str], seconds: float) -> str | N
     return lacks
 
 
-def follow(document: str, home: pathlib.Path, terminals: dict[str, Terminal]):
+def follow(document: str, home: pathlib.Path, terminals: dict[str, Terminal], pause_s: float):
     steps = blocks(document)
     for index, (kind, lines) in enumerate(steps):
         if kind != "sh":
             continue
+        if terminals:
+            time.sleep(pause_s)
         head = re.fullmatch(r"# (terminal \d)", lines[0])
         if not head:
             raise SystemExit(f"a block begins with {lines[0]!r}, not with its terminal")
@@ -133,13 +136,13 @@ def follow(document: str, home: pathlib.Path, terminals: dict[str, Terminal]):
             raise SystemExit(f"after {lines[1:]} {head[1]} does not show the line\n  {lacks}\nbut\n{terminal.text()}")
 
 
-def main(starmesh: str, document: str, home: str):
+def main(starmesh: str, document: str, home: str, pause_s: str):
     for words in ["link set lo up", "link set lo multicast on", "route add 224.0.0.0/4 dev lo"]:
         subprocess.run(["ip", *words.split()], check=True)
     os.environ["HOME"], os.environ["PATH"] = home, f"{pathlib.Path(starmesh).parent}:{os.environ['PATH']}"
     terminals: dict[str, Terminal] = {}
     try:
-        follow(pathlib.Path(document).read_text(), pathlib.Path(home), terminals)
+        follow(pathlib.Path(document).read_text(), pathlib.Path(home), terminals, float(pause_s))
         for name, terminal in terminals.items():
             until = time.monotonic() + 30
             while (left := processes_of(terminal.shell.pid)) and time.monotonic() < until:

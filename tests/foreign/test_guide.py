@@ -12,11 +12,13 @@ from shared import PROJECT
 DOCUMENT = PROJECT / "docs/operator/first-night.md"
 
 
-def test_the_guide_leads_from_an_empty_directory_through_a_night_with_rain(starmesh, tmp_path):
+@pytest.mark.parametrize("pause_s", [0, 120])
+def test_the_guide_leads_from_an_empty_directory_through_a_night_with_rain(starmesh, tmp_path, pause_s):
+    """Typed at once, and by somebody who needs two minutes for each command."""
     assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/setup does)"
     script = pathlib.Path(guide.__file__)
-    done = subprocess.run(["unshare", "--net", sys.executable, "-B", str(script), starmesh, str(DOCUMENT), str(tmp_path)],
-                          capture_output=True, text=True, timeout=900)
+    done = subprocess.run(["unshare", "--net", sys.executable, "-B", str(script), starmesh, str(DOCUMENT), str(tmp_path), str(pause_s)],
+                          capture_output=True, text=True, timeout=5400)
     if done.returncode != 0:
         pytest.fail(f"{done.stderr}\n{done.stdout[-20000:]}")
 

@@ -55,7 +55,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
 async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Result<()> {
     let mut world = simulator::Options { speed: options.speed, ..Default::default() };
     world.dome.watchdog_s = Some(120.0);
-    // Rows ask for 6 arcsec: this mount repeats its slews to less than that, as most do.
+    // Rows ask for 0.3 arcmin: this mount repeats its slews to less than that, as most do.
     world.mount.scatter_arcsec = 1.0;
     // The same field of 1.5 deg, whatever the camera's size.
     world.camera.pixel_um *= f64::from(world.camera.width) / f64::from(options.size_px);

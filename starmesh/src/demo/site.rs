@@ -44,6 +44,8 @@ const FIELDS: [(&str, f64, f64); 20] = [
 ];
 
 const SLOTS: u32 = 5;
+/// Seconds are enough for people.
+const TIME: &str = "%Y-%m-%dT%H:%M:%SZ";
 const FILTERS: [&str; 5] = ["V", "R", "B", "I", "Clear"];
 
 impl DemoNight {
@@ -74,7 +76,7 @@ impl DemoNight {
         let mut row = |action: &str, value: serde_json::Value, start: Utc, end: Utc| {
             let line = json!({
                 "device_name": "camera", "action_type": action, "action_value": value,
-                "start_time": start.to_string(), "end_time": end.to_string(), "programme": "DEMO.2026",
+                "start_time": start.strftime(TIME), "end_time": end.strftime(TIME), "programme": "DEMO.2026",
             });
             rows.push(line.to_string());
         };
@@ -141,6 +143,10 @@ simulator = "http://{simulator}"
 
 [schedule]
 robotic = true
+
+[pointing]
+# on a busy machine hours of this fast sky pass between two looks, and the mount drifts meanwhile
+threshold_arcmin = 0.3
 
 [web]
 listen = "127.0.0.1:{web_port}"

@@ -22,11 +22,17 @@ const FIELDS: [(&str, f64, f64); 12] = [
     ("HAT-P-11", 297.71, 48.08),
     ("TRAPPIST-1", 346.62, -5.04),
 ];
-/// Of the row that is not only an example: from the beginning of the night on.
+/// The field is the highest one for so long from the beginning of the night on.
 const LENGTH_S: f64 = 2.5 * 3600.0;
+/// Its rows may run beyond that while it is higher than this, looked at so often: whoever reads meanwhile, or waits for
+/// the weather, loses nothing.
+const LOW_DEG: f64 = 30.0;
+const STEP_S: f64 = 600.0;
 /// Left for starting the nodes, s of sky time.
 const START_S: f64 = 600.0;
 const EXAMPLE_CAMERA: &str = "my_camera";
+/// Seconds are enough for whoever reads and changes it.
+const TIME: &str = "%Y-%m-%dT%H:%M:%SZ";
 
 /// The text of the schedule, for the first camera of a configuration.
 pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::Result<String> {
@@ -43,35 +49,43 @@ pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::
         text +=
             "// Where the telescope stands is not known yet, or the Sun does not set there: these rows are comments.\n";
         let start = now.plus_seconds(3600.0);
-        for line in rows(config, camera, ("M 42", 83.82, -5.39), start, start.plus_seconds(LENGTH_S)) {
+        let end = start.plus_seconds(LENGTH_S);
+        for line in rows(config, camera, ("M 42", 83.82, -5.39), (start, end, end)) {
             text += &format!("// {line}\n");
         }
         return Ok(text);
     };
-    let end = dawn;
-    let highest = |start: Utc, end: Utc| {
-        let lowest = |(_, ra, dec): &(&str, f64, f64)| {
-            let field = Icrs::from_degrees(*ra, *dec);
-            let lowest = sky::lowest_altitude(&place, &EarthOrientation::default(), &field, start, end);
-            lowest.map_or(-90.0, |lowest| lowest.altitude.degrees())
-        };
-        FIELDS.iter().copied().max_by(|a, b| lowest(a).total_cmp(&lowest(b))).unwrap_or(("M 42", 83.82, -5.39))
+    let lowest_deg = |(_, ra, dec): &(&str, f64, f64), start: Utc, end: Utc| {
+        let field = Icrs::from_degrees(*ra, *dec);
+        let lowest = sky::lowest_altitude(&place, &EarthOrientation::default(), &field, start, end);
+        lowest.map_or(-90.0, |lowest| lowest.altitude.degrees())
     };
-    let field = highest(dusk, dusk.plus_seconds(LENGTH_S).min(end));
-    for line in rows(config, camera, field, dusk, end) {
+    let mut observed = dusk.plus_seconds(LENGTH_S).min(dawn);
+    let lowest = |field: &_| lowest_deg(field, dusk, observed);
+    let highest = FIELDS.iter().copied().max_by(|a, b| lowest(a).total_cmp(&lowest(b)));
+    let field = highest.unwrap_or(("M 42", 83.82, -5.39));
+    while observed < dawn && lowest_deg(&field, observed, observed.plus_seconds(STEP_S)) >= LOW_DEG {
+        observed = observed.plus_seconds(STEP_S).min(dawn);
+    }
+    for line in rows(config, camera, field, (dusk, observed, dawn)) {
         text += &line;
         text.push('\n');
     }
     Ok(text)
 }
 
-/// The rows of a night from dusk to dawn, each with its purpose.
-fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dusk: Utc, dawn: Utc) -> Vec<String> {
+/// The rows of a night from dusk to dawn, each with its purpose; the field is observed until `observed`.
+fn rows(
+    config: &config::Observatory,
+    camera: &str,
+    field: (&str, f64, f64),
+    (dusk, observed, dawn): (Utc, Utc, Utc),
+) -> Vec<String> {
     let mut lines = Vec::new();
     let mut row = |about: &str, action: &str, value: Value, start: Utc, end: Utc| {
         let row = json!({
             "device_name": camera, "action_type": action, "action_value": value,
-            "start_time": start.to_string(), "end_time": end.to_string(),
+            "start_time": start.strftime(TIME), "end_time": end.strftime(TIME),
         });
         lines.push(format!("// {about}"));
         lines.push(row.to_string());
@@ -79,15 +93,13 @@ fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dus
     let has = |kind: Kind| config.devices().iter().any(|(known, _)| *known == kind);
     let (name, ra_deg, dec_deg) = field;
     let later = |seconds: f64| dusk.plus_seconds(seconds);
-    // The field was chosen for its altitude in this time; later it may set.
-    let observed = later(LENGTH_S).min(dawn);
     if config.camera.first().is_some_and(|camera| camera.temperature_c.is_some()) {
         row("The camera is cooled to camera.temperature_c.", "cool_camera", json!({}), later(-1800.0), dawn);
     }
     if has(Kind::Dome) {
         row("The dome opens once it is dark (nautical dusk), if the sky allows it.", "open", json!({}), dusk, dawn);
     }
-    let mut value = json!({ "object": name, "exptime": 20.0, "n": 5 });
+    let mut value = json!({ "object": name, "exptime": 60.0, "n": 20 });
     if has(Kind::Telescope)
         && let Value::Object(value) = &mut value
     {
@@ -95,7 +107,7 @@ fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dus
         value.insert("dec".to_owned(), json!(dec_deg));
     }
     row(
-        "Five frames of a field high in the sky. ra and dec are ICRS, in degrees; exptime in seconds.",
+        "Twenty frames of a field high in the sky. ra and dec are ICRS, in degrees; exptime in seconds.",
         "object",
         value.clone(),
         later(1.0),
@@ -110,8 +122,8 @@ fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dus
         row(about, "object", json!(value), later(2.0), observed);
     }
     row("Everything is closed and parked.", "close", json!({}), later(3.0), dawn.plus_seconds(3600.0));
-    let dark = json!({ "exptime": [0.0, 20.0], "n": [5, 3] });
-    row("Five bias frames, and three darks of 20 s.", "calibration", dark, later(4.0), dawn.plus_seconds(7200.0));
+    let dark = json!({ "exptime": [0.0, 60.0], "n": [5, 3] });
+    row("Five bias frames, and three darks of 60 s.", "calibration", dark, later(4.0), dawn.plus_seconds(7200.0));
     row(
         "Headers are completed with what was measured meanwhile.",
         "complete_headers",

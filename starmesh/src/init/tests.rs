@@ -93,21 +93,27 @@ fn in_the_dark_the_example_begins_at_once_and_near_dawn_with_the_next_night() {
         Path::new("x"),
     )
     .unwrap();
-    let start_after_h = |now: &str| {
+    let start_after_h = |now: &str| -> (f64, f64) {
         let now: units::Utc = now.parse().unwrap();
         let place =
             Some(crate::import::site::Location { latitude_deg: -24.6, longitude_deg: -70.4, elevation_m: 2500.0 });
         let schedule = night::schedule(&config, &Surroundings { place, simulated: Some(now) }).unwrap();
         let row: serde_json::Value =
-            serde_json::from_str(schedule.lines().find(|line| !line.starts_with("//")).unwrap()).unwrap();
-        row["start_time"].as_str().unwrap().parse::<units::Utc>().unwrap().seconds_since(now) / 3600.0
+            serde_json::from_str(schedule.lines().find(|line| line.contains("\"object\"")).unwrap()).unwrap();
+        let time = |key: &str| row[key].as_str().unwrap().parse::<units::Utc>().unwrap();
+        let [start, end] = ["start_time", "end_time"].map(time);
+        (start.seconds_since(now) / 3600.0, end.seconds_since(start) / 3600.0)
     };
     for (now, hours) in
         [("2026-11-23T20:00:00Z", 3.0..6.0), ("2026-11-24T02:00:00Z", 0.1..0.2), ("2026-11-24T08:30:00Z", 14.0..18.0)]
     {
-        let after_h = start_after_h(now);
+        let (after_h, length_h) = start_after_h(now);
         assert!(hours.contains(&after_h), "{now}: {after_h} h");
+        // 25 min of a guide that reads at 12 times the speed of the sky.
+        assert!((2.5..=8.0).contains(&length_h), "{now}: {length_h} h");
     }
+    let (_, of_the_guide_h) = start_after_h("2026-11-22T00:14:00Z");
+    assert!(of_the_guide_h >= 5.0, "{of_the_guide_h} h");
 }
 
 fn is_toml(line: &str) -> bool {
