@@ -1,6 +1,7 @@
 //! Asks the database; a reader never waits for the writer.
 
 mod answer;
+mod log;
 mod night;
 mod search;
 mod telemetry;

@@ -5,6 +5,7 @@
 //! at 127.0.0.1 (DNS rebinding). Answering only to our own names ends that; an address literal cannot be rebound, so
 //! every one is accepted.
 
+use std::collections::BTreeSet;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
@@ -12,11 +13,12 @@ use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse as _, Response};
+use config::Webcam;
 
 use crate::problem::{Code, Problem};
 
-/// A page of ours loads everything from this server; no other script may run, no other page may frame it, and it sends
-/// data to no other server.
+/// A page of ours loads everything from this server, except for pictures of webcams; no other script may run, no other page
+/// may frame it, and it sends data to no other server.
 const CONTENT_SECURITY_POLICY: &str =
     "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
 
@@ -26,12 +28,13 @@ pub struct Gate {
     listens: IpAddr,
     host_name: String,
     names: Vec<String>,
+    policy: HeaderValue,
 }
 
 impl Gate {
-    /// For a server that listens here, with the names that the site gave it.
-    pub fn new(listens: SocketAddr, host_name: String, names: Vec<String>) -> Self {
-        Self { listens: listens.ip(), host_name, names }
+    /// For a server that listens here, with the names that the site gave it, whose pages show these webcams.
+    pub fn new(listens: SocketAddr, host_name: String, names: Vec<String>, webcams: &[Webcam]) -> Self {
+        Self { listens: listens.ip(), host_name, names, policy: policy(webcams) }
     }
 
     /// Is this one of our names? Takes the `Host` header, with or without a port.
@@ -69,6 +72,18 @@ impl Gate {
     }
 }
 
+/// The pictures of exactly these servers may be shown; a policy that does not fit a header shows none of them.
+fn policy(webcams: &[Webcam]) -> HeaderValue {
+    let strict = HeaderValue::from_static(CONTENT_SECURITY_POLICY);
+    let origins: BTreeSet<&str> = webcams.iter().filter_map(Webcam::origin).collect();
+    if origins.is_empty() {
+        return strict;
+    }
+    let origins: Vec<&str> = origins.into_iter().collect();
+    let policy = format!("{CONTENT_SECURITY_POLICY}; img-src 'self' {}", origins.join(" "));
+    HeaderValue::from_str(&policy).unwrap_or(strict)
+}
+
 fn without_port(host: &str) -> &str {
     match host.rsplit_once(':') {
         // The colons of an IPv6 address stand in brackets.
@@ -80,6 +95,7 @@ fn without_port(host: &str) -> &str {
 /// Refuses foreign names, and adds the headers that limit what browsers may do with each answer.
 pub async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
     let host = request.headers().get(header::HOST).and_then(|host| host.to_str().ok());
+    let policy = gate.policy.clone();
     let mut response = match host {
         Some(host) if gate.knows(host) => next.run(request).await,
         _ => Problem::new(
@@ -90,8 +106,8 @@ pub async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) 
         .into_response(),
     };
     let headers = response.headers_mut();
+    headers.entry(header::CONTENT_SECURITY_POLICY).or_insert(policy);
     for (name, value) in [
-        (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::REFERRER_POLICY, "no-referrer"),
         (header::HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
@@ -109,7 +125,7 @@ mod tests {
     use super::*;
 
     fn gate(listens: &str) -> Gate {
-        Gate::new(listens.parse().unwrap(), "mountain-pc".to_owned(), vec!["dome.example.org".to_owned()])
+        Gate::new(listens.parse().unwrap(), "mountain-pc".to_owned(), vec!["dome.example.org".to_owned()], &[])
     }
 
     #[test]

@@ -36,6 +36,7 @@ mod diary;
 mod domes;
 mod drafts;
 mod edge;
+mod forecast_store;
 mod freshness;
 mod gate;
 mod host;
@@ -123,10 +124,11 @@ pub async fn run(node: node::Node) -> anyhow::Result<()> {
         seconds,
         drafts: drafts::Drafts::of(&node.config),
         forecasts: Semaphore::new(server::FORECASTS),
+        plans: Default::default(),
         sockets: Places::new(socket::ROOM),
         config: node.config.clone(),
     };
-    let gate = Gate::new(address, host_name(), web.names.clone());
+    let gate = Gate::new(address, host_name(), web.names.clone(), &web.webcam);
     let app = router::router(Arc::new(server), gate, authentication);
     let scheme = if tls.is_some() { "https" } else { "http" };
     let url = format!("{scheme}://{}/", reachable(address));

@@ -13,6 +13,7 @@ use tokio::sync::Semaphore;
 
 use crate::command_store::Commands;
 use crate::drafts::Drafts;
+use crate::forecast_store::Forecasts;
 use crate::host::Host;
 use crate::network::Network;
 use crate::preview::Previews;
@@ -42,6 +43,8 @@ pub struct Server {
     pub drafts: Drafts,
     /// Checks and forecasts of schedules that may be made at the same time.
     pub forecasts: Semaphore,
+    /// Forecasts of the schedules in force.
+    pub plans: Forecasts,
     /// Sockets open now.
     pub sockets: Arc<Places>,
     /// The file of this node: the place of its site, and the limits of its telescope.

@@ -80,5 +80,5 @@ pub use pointing::{OnFailure, Pointing};
 pub use slit::{Follow, Slit};
 pub use vendor::VendorPattern;
 pub use visibility::{Horizon, HorizonSource, ScheduleCheck};
-pub use web::{Network, Web};
+pub use web::{Network, Web, Webcam};
 pub use words::sexagesimal;

@@ -51,6 +51,9 @@ fn sections(observatory: &Observatory, findings: &mut Findings<'_>) {
     for (key, what) in observatory.web.faults() {
         findings.error(&key, what);
     }
+    for (key, what) in observatory.web.warnings() {
+        findings.warning(&key, what);
+    }
     let (page, spool) = (observatory.web.listen, observatory.spool.listen);
     if page.port() != 0 && page.port() == spool.port() && (page.ip() == spool.ip() || spool.ip().is_unspecified()) {
         findings.error(

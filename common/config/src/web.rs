@@ -5,6 +5,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use contract::Chunk;
 use serde::Deserialize;
 use users::Grant;
 
@@ -34,6 +35,49 @@ pub struct Web {
     pub public: Vec<String>,
     /// Requests of one user, or of one address, for which there is always room; for a moment twice as many.
     pub requests_per_s: u32,
+    /// `[[web.webcam]]`: pictures of other servers that the page shows.
+    pub webcam: Vec<Webcam>,
+}
+
+/// `[[web.webcam]]`: a picture of another server, which browsers fetch from there.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Webcam {
+    /// How the page calls it.
+    pub name: String,
+    /// Address of the picture: `https://` or `http://`.
+    pub url: String,
+    /// The site that it shows; that of this file where absent.
+    pub site: Option<Chunk>,
+    /// The telescope of the site that it shows; all of them where absent.
+    pub telescope: Option<Chunk>,
+    /// It is fetched again after this, s.
+    #[serde(default = "a_minute")]
+    pub period_s: f64,
+}
+
+fn a_minute() -> f64 {
+    60.0
+}
+
+impl Webcam {
+    /// Scheme, host and port, as a policy for browsers names a server; absent where the address is none of a picture.
+    pub fn origin(&self) -> Option<&str> {
+        let scheme = ["https://", "http://"].into_iter().find(|scheme| self.url.starts_with(scheme))?;
+        let rest = self.url.get(scheme.len()..)?;
+        let (host, _) = rest.split_once(['/', '?']).unwrap_or((rest, ""));
+        let (name, port) = match host.rsplit_once(':') {
+            Some((name, port)) if !port.ends_with(']') => (name, Some(port)),
+            _ => (host, None),
+        };
+        let is_name = |name: &str| name.bytes().all(|b| b.is_ascii_alphanumeric() || b"-.".contains(&b));
+        let inner = name.strip_prefix('[').and_then(|name| name.strip_suffix(']'));
+        let is_host = !name.is_empty()
+            && inner.map_or_else(|| is_name(name), |address| address.parse::<std::net::Ipv6Addr>().is_ok());
+        let is_plain = self.url.bytes().all(|b| b.is_ascii_graphic() && !b"\"'<>\\^`{|}#".contains(&b));
+        let fits = is_host && is_plain && port.is_none_or(|port| port.parse::<u16>().is_ok_and(|port| port > 0));
+        fits.then(|| self.url.get(..scheme.len() + host.len())).flatten()
+    }
 }
 
 impl Default for Web {
@@ -50,6 +94,7 @@ impl Default for Web {
             proxy_right: None,
             public: Vec::new(),
             requests_per_s: 20,
+            webcam: Vec::new(),
         }
     }
 }
@@ -99,7 +144,47 @@ impl Web {
             let what = format!("web.requests_per_s = {}: expected 1 to 10000", self.requests_per_s);
             found.push(("requests_per_s", what));
         }
-        found.into_iter().map(|(key, what): (&str, String)| (format!("web.{key}"), what)).collect()
+        let found = found.into_iter().map(|(key, what): (&str, String)| (format!("web.{key}"), what));
+        found.chain(self.webcam_faults()).collect()
+    }
+
+    fn webcam_faults(&self) -> Vec<(String, String)> {
+        let mut found = Vec::new();
+        let mut seen = std::collections::BTreeSet::new();
+        for (index, webcam) in self.webcam.iter().enumerate() {
+            let mut add = |key: &str, what: String| {
+                found.push((format!("web.webcam[{index}].{key}"), format!("web.webcam \"{}\": {what}", webcam.name)));
+            };
+            if webcam.name.trim().is_empty() || webcam.name.chars().count() > 60 {
+                add("name", "name: expected 1 to 60 letters, such as \"All-sky\"".to_owned());
+            }
+            if !seen.insert((&webcam.site, &webcam.telescope, &webcam.name)) {
+                add("name", "name: another webcam of this place has this name".to_owned());
+            }
+            if webcam.origin().is_none() {
+                let what = "url: expected the address of a picture, such as \"https://allsky.example.org/latest.jpg\", without a user or password";
+                add("url", what.to_owned());
+            }
+            if !(1.0..=86_400.0).contains(&webcam.period_s) {
+                add("period_s", format!("period_s = {}: expected 1 to 86400 s", webcam.period_s));
+            }
+        }
+        found
+    }
+
+    /// What a person should know.
+    pub(crate) fn warnings(&self) -> Vec<(String, String)> {
+        let is_hidden = |webcam: &Webcam| self.certificate.is_some() && webcam.url.starts_with("http://");
+        let hidden = self.webcam.iter().enumerate().filter(|(_, webcam)| is_hidden(webcam));
+        let warn = |(index, webcam): (usize, &Webcam)| {
+            let what = format!(
+                "web.webcam \"{}\": url begins with http://, and the page is served by TLS: most browsers show no such picture \
+                 on it. Use an https:// address",
+                webcam.name
+            );
+            (format!("web.webcam[{index}].url"), what)
+        };
+        hidden.map(warn).collect()
     }
 }
 
@@ -176,6 +261,68 @@ mod tests {
         }
         for bad in ["", "10.0.0.5/33", "10.0.0.5/-1", "proxy", "10.0.0/24", "::1/129", "10.0.0.5/"] {
             assert!(bad.parse::<Network>().is_err(), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn a_webcam_is_of_one_server_that_a_policy_can_name() {
+        let origin = |url: &str| {
+            let webcam =
+                Webcam { name: "a".to_owned(), url: url.to_owned(), site: None, telescope: None, period_s: 60.0 };
+            webcam.origin().map(str::to_owned)
+        };
+        for (url, expected) in [
+            ("https://allsky.example.org/latest.jpg?size=2", "https://allsky.example.org"),
+            ("http://10.0.0.7:8081/cam", "http://10.0.0.7:8081"),
+            ("http://[fd00::7]:81/cam", "http://[fd00::7]:81"),
+            ("http://[fd00::7]", "http://[fd00::7]"),
+            ("https://h?x", "https://h"),
+        ] {
+            assert_eq!(origin(url).as_deref(), Some(expected));
+        }
+        for bad in [
+            "",
+            "allsky.jpg",
+            "ftp://h/x",
+            "https://",
+            "https:///x",
+            "https://me:secret@h/x",
+            "https://h:0/x",
+            "https://h:99999/x",
+            "https://h; script-src */x",
+            "https://h,https://g/x",
+            "https://*/x",
+            "https://h/a b",
+            "https://h/\"x",
+            "javascript:alert(1)",
+            "https://[::1/x",
+            "HTTPS://h/x",
+        ] {
+            assert_eq!(origin(bad), None, "{bad}");
+        }
+    }
+
+    #[test]
+    fn webcams_are_read_and_refused_with_their_place() {
+        let place =
+            "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = 0\nlongitude_deg = 0\nelevation_m = 0\n";
+        let parse = |text: &str| crate::parse(&format!("{place}{text}"), std::path::Path::new("/"));
+        let cam = "[[web.webcam]]\nname = \"All-sky\"\nurl = \"https://a.example/x.jpg\"\n";
+        let web = parse(&format!(
+            "{cam}[[web.webcam]]\nname = \"Dome\"\nurl = \"http://b\"\ntelescope = \"t\"\nperiod_s = 5\n"
+        ));
+        let web = web.unwrap().web;
+        assert_eq!((web.webcam.len(), web.webcam[0].period_s, web.webcam[1].period_s), (2, 60.0, 5.0));
+        for (text, expected) in [
+            (cam.replace("https://a", "a"), "line 9: web.webcam \"All-sky\": url: expected the address of a picture"),
+            (format!("{cam}{cam}"), "line 11: web.webcam \"All-sky\": name: another webcam"),
+            (format!("{cam}period_s = 0\n"), "period_s = 0: expected 1 to 86400 s"),
+            (format!("{cam}site = \"A B\"\n"), "site"),
+            (format!("{cam}link = 1\n"), "there is no key \"link\" in [[web.webcam]]"),
+            ("[[web.webcam]]\nname = \"x\"\n".to_owned(), "url"),
+        ] {
+            let fault = parse(&text).unwrap_err().to_string();
+            assert!(fault.contains(expected), "{expected}: {fault}");
         }
     }
 

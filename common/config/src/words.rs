@@ -354,7 +354,7 @@ pub fn is_one_table(steps: &[Step]) -> bool {
 pub fn is_list_of_tables(steps: &[Step]) -> bool {
     match steps {
         [Step::Key(key), Step::Index(_)] => is_list_of_blocks(key),
-        [.., Step::Key(key), Step::Index(_)] => matches!(key.as_str(), "limit" | "webhook" | "email"),
+        [.., Step::Key(key), Step::Index(_)] => matches!(key.as_str(), "limit" | "webhook" | "email" | "webcam"),
         _ => false,
     }
 }

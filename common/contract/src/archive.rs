@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use units::Utc;
 
 use crate::frame_search::{FoundFrame, FrameSearch};
+use crate::log_search::LogSearch;
 use crate::{CommandId, Kind, Payload, Scalar};
 
 /// A file is safe on disk; information, not the acknowledgement to the spool (that is `release`).
@@ -78,6 +79,8 @@ pub enum Ask {
     FindFrames(Box<FrameSearch>),
     /// Log lines.
     Log,
+    /// Log lines that meet conditions. Lines of one instant are never parted: where the limit would, the answer has more.
+    FindLog(Box<LogSearch>),
     /// Records of the audit, of all nodes of the telescope.
     Audit,
     /// Corrections of the guide loop.

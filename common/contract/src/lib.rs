@@ -32,6 +32,7 @@ pub mod device;
 pub mod frame_search;
 mod key;
 mod keys;
+pub mod log_search;
 pub mod node;
 pub mod observatory;
 pub mod order_form;

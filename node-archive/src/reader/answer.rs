@@ -13,7 +13,7 @@ use crate::database::{DatabaseError, stamp};
 const USUAL_LIMIT: u32 = 1000;
 const HIGHEST_LIMIT: u32 = 100_000;
 /// Before and after all times that can be stored.
-const EVER: (&str, &str) = ("", "~");
+pub(super) const EVER: (&str, &str) = ("", "~");
 /// A question about series that does not say from when on begins so much earlier than it ends.
 const DAY_S: f64 = 86_400.0;
 
@@ -33,6 +33,10 @@ impl Reader {
                 let rows = found.frames.into_iter().chain(found.calibrating);
                 let rows = rows.map(|frame| ArchiveRow::FoundFrame(Box::new(frame))).collect();
                 ArchiveAnswer { rows, truncated: found.has_more, cut: None }
+            }
+            Ask::FindLog(search) => {
+                let (lines, truncated) = self.log(search, between, limit as usize)?;
+                ArchiveAnswer { rows: lines, truncated, cut: None }
             }
             plain => {
                 // One row more than requested shows that there are more.
@@ -118,12 +122,12 @@ impl Reader {
                 |row| Ok(ArchiveRow::Correction(Box::new(json(row, 0)?))),
             ),
             // They have answers of their own.
-            Ask::Series { .. } | Ask::FindFrames(_) => Ok(Vec::new()),
+            Ask::Series { .. } | Ask::FindFrames(_) | Ask::FindLog(_) => Ok(Vec::new()),
         }
     }
 }
 
-fn log_line(row: &Row<'_>) -> rusqlite::Result<ArchiveRow> {
+pub(super) fn log_line(row: &Row<'_>) -> rusqlite::Result<ArchiveRow> {
     let level: String = row.get(1)?;
     let level = match level.as_str() {
         "error" => Level::Error,

@@ -28,7 +28,7 @@ use crate::commands::{self, CommandRequest, CommandsQuery, OrderOffered};
 use crate::problem::{Code, Problem};
 use crate::routes::{
     frames, health, heartbeat, history, legacy, login, metrics, network, parts, preview, records, reports, sessions,
-    tokens,
+    sky, tokens,
 };
 use crate::server::Server;
 use crate::socket;
@@ -104,6 +104,10 @@ fn general() -> Vec<Endpoint> {
         Endpoint::get("/api/v1/telescopes/{site}/{telescope}", "telescope", TELESCOPE, network::telescope)
             .summary("Everything that is known of a telescope: the newest payload of each key, and the last lines of its log.")
             .gives::<network::TelescopeAnswer>("The telescope."),
+        Endpoint::get("/api/v1/telescopes/{site}/{telescope}/sky", "sky", TELESCOPE, sky::sky)
+            .summary("Where it stands, and the sky above it: twilights, Sun, Moon, sidereal time, horizon.")
+            .query::<sky::SkyQuery>()
+            .gives::<sky::SkyAt>("The sky."),
         Endpoint::get("/api/v1/telescopes/{site}/{telescope}/image.jpg", "newest_image", TELESCOPE, preview::image)
             .summary("The newest image, made for eyes.")
             .query::<preview::PreviewQuery>()
@@ -176,8 +180,8 @@ fn general() -> Vec<Endpoint> {
             .query::<history::SeriesQuery>()
             .gives::<ArchiveAnswer>("The series."),
         Endpoint::get("/api/v1/telescopes/{site}/{telescope}/log", "log", TELESCOPE, records::log)
-            .summary("Lines of the log of all its nodes, the oldest first, asked of its archive.")
-            .query::<records::RecordsQuery>()
+            .summary("Lines of the log of all its nodes that meet all conditions, the oldest first, asked of its archive.")
+            .query::<records::LogQuery>()
             .gives::<ArchiveAnswer>("The lines."),
         Endpoint::get("/api/v1/telescopes/{site}/{telescope}/audit", "audit", Needs::There(Engineer), records::audit)
             .summary("Records of what was ordered and moved, the oldest first, asked of its archive.")

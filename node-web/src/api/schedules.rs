@@ -10,7 +10,8 @@ use crate::command_store::CommandState;
 use crate::drafts::DraftSummary;
 use crate::routes::parts;
 use crate::schedules::{
-    self, ActionsQuery, ActivateRequest, Draft, JSONL, Revision, RevisionsQuery, ScheduleDifference, SimulateQuery,
+    self, ActionsQuery, ActivateRequest, Draft, Forecast, JSONL, Revision, RevisionsQuery, ScheduleDifference,
+    SimulateQuery,
 };
 
 /// The endpoints.
@@ -71,6 +72,10 @@ pub(super) fn endpoints() -> Vec<Endpoint> {
         .takes::<Vec<Map<String, Value>>>()
         .takes_media(JSONL)
         .gives::<SchedulePlan>("Each row with its begin, end, frames, altitudes, and why it is at risk."),
+        Endpoint::get("/api/v1/telescopes/{site}/{telescope}/forecast", "forecast", VIEW, schedules::forecast)
+            .summary("What the schedule in force will do under a good sky, made once for all readers.")
+            .revalidates()
+            .gives::<Forecast>("As of `simulate`, with the time at which it was made; the ETag changes with it."),
         Endpoint::get(
             "/api/v1/telescopes/{site}/{telescope}/schedule/drafts",
             "schedule_drafts",

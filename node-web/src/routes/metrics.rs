@@ -195,3 +195,48 @@ impl Page {
         self.metrics.into_iter().map(text).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::path::Path;
+
+    /// The words of a text that begin like a metric of ours.
+    fn metrics(text: &str) -> BTreeSet<&str> {
+        let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_');
+        words.filter(|word| word.starts_with("starmesh_")).collect()
+    }
+
+    #[test]
+    fn the_examples_for_prometheus_and_grafana_name_only_metrics_and_labels_that_there_are() {
+        let code = include_str!("metrics.rs").split("#[cfg(test)]").next().unwrap();
+        let known = metrics(code);
+        let labels: BTreeSet<&str> = code.split("(\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy");
+        let mut named = BTreeSet::new();
+        for file in ["prometheus/starmesh.rules.yml", "grafana/starmesh.json"] {
+            let text = std::fs::read_to_string(folder.join(file)).unwrap().replace("\\\"", "\"");
+            for metric in metrics(&text) {
+                assert!(known.contains(metric), "{file}: {metric}");
+                named.insert(metric.to_owned());
+            }
+            // In braces stand labels, each before = or =~.
+            let selectors = text.split("starmesh_").skip(1).filter_map(|rest| {
+                let (name, rest) = rest.split_once('{')?;
+                name.bytes().all(|b| b.is_ascii_lowercase() || b == b'_').then(|| rest.split('}').next())?
+            });
+            for selector in selectors {
+                for label in selector.split(", ").filter_map(|part| part.split(['=', '!', '~']).next()) {
+                    assert!(labels.contains(label.trim()), "{file}: label {label} in {{{selector}}}");
+                }
+            }
+        }
+        // What nobody looks at by an example is only the version.
+        let unused: Vec<&&str> = known.iter().filter(|metric| !named.contains(**metric)).collect();
+        assert_eq!(unused, [&"starmesh_build_info"]);
+        let dashboard = std::fs::read_to_string(folder.join("grafana/starmesh.json")).unwrap();
+        let dashboard: serde_json::Value = serde_json::from_str(&dashboard).unwrap();
+        let panels = dashboard["panels"].as_array().unwrap();
+        assert!(panels.iter().all(|panel| panel["targets"].as_array().is_some_and(|targets| !targets.is_empty())));
+    }
+}

@@ -15,4 +15,5 @@ pub mod preview;
 pub mod records;
 pub mod reports;
 pub mod sessions;
+pub mod sky;
 pub mod tokens;

@@ -7,7 +7,7 @@ use axum::Json;
 use axum::extract::{Extension, Path, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
-use contract::{Address, Key, Right};
+use contract::{Address, Chunk, Key, Right};
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
@@ -35,6 +35,44 @@ pub struct NetworkAnswer {
     pub telescopes: Vec<TelescopeInNetwork>,
     /// What the telescopes of each site share.
     pub shared: Vec<TelescopeInNetwork>,
+    /// Pictures of other servers, of the sites and telescopes that the caller may see.
+    pub webcams: Vec<WebcamInNetwork>,
+}
+
+/// A picture that the reader fetches from another server.
+#[derive(Debug, JsonSchema, Serialize)]
+pub struct WebcamInNetwork {
+    /// How it is called.
+    pub name: String,
+    /// Address of the picture.
+    pub url: String,
+    /// The site that it shows.
+    pub site_id: Chunk,
+    /// The telescope that it shows; absent for all of the site.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub telescope_id: Option<Chunk>,
+    /// It is worth fetching again after this, s.
+    pub period_s: f64,
+}
+
+/// The webcams of the file of this server that a caller may see: who may see a telescope of a site may see the site.
+fn webcams(server: &Server, caller: &Principal) -> Vec<WebcamInNetwork> {
+    let model = server.network.read();
+    let place = &server.config.place;
+    let seen: Vec<&Address> = model.telescopes.keys().filter(|address| caller.right_at(address).is_some()).collect();
+    let webcams = server.config.web.webcam.iter().map(|webcam| WebcamInNetwork {
+        name: webcam.name.clone(),
+        url: webcam.url.clone(),
+        site_id: webcam.site.clone().unwrap_or_else(|| place.site.clone()),
+        telescope_id: webcam.telescope.clone(),
+        period_s: webcam.period_s,
+    });
+    let is_seen = |webcam: &WebcamInNetwork| {
+        seen.iter().any(|address| {
+            address.site == webcam.site_id && webcam.telescope_id.as_ref().is_none_or(|id| *id == address.telescope)
+        })
+    };
+    webcams.filter(is_seen).collect()
 }
 
 /// A telescope with its nodes.
@@ -120,6 +158,7 @@ pub async fn network(State(server): State<Arc<Server>>, Extension(caller): Exten
         speed: network.clock().speed(),
         telescopes: of(false),
         shared: of(true),
+        webcams: webcams(&server, &caller),
     };
     (NEVER_CACHED, Json(answer)).into_response()
 }

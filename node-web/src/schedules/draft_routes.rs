@@ -6,8 +6,7 @@ use axum::Json;
 use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Response};
-use contract::observatory::ScheduleState;
-use contract::{Address, Key, Name, Part};
+use contract::{Address, Name};
 use schedule::difference::difference;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -18,6 +17,7 @@ use super::active::{answer_text, wants_text};
 use super::asked;
 use super::body::ScheduleBody;
 use super::difference::ScheduleDifference;
+use super::forecast::sha256_in_force;
 use crate::authentication::Client;
 use crate::commands::{CommandRequest, carry_out, is_repeat};
 use crate::drafts::etag::{Demand, is_known, quoted};
@@ -103,13 +103,6 @@ pub async fn put(
     let about = DraftSummary::of(id, &stored);
     let headers = [(header::ETAG, quoted(&about.etag)), (header::LOCATION, location)];
     Ok((status, NEVER_CACHED, headers, Json(about)).into_response())
-}
-
-/// The hash of the schedule in force, as it was published last.
-fn sha256_in_force(server: &Server, address: &Address) -> Option<String> {
-    let key = Key::Observatory(address.clone(), Part::Schedule);
-    let model = server.network.read();
-    model.telescopes.get(address)?.read::<ScheduleState>(&key)?.1.sha256
 }
 
 /// Removes a draft.

@@ -8,6 +8,7 @@ mod asked;
 mod body;
 mod difference;
 mod draft_routes;
+mod forecast;
 
 pub use self::active::{
     ActionsQuery, Revision, RevisionsQuery, SimulateQuery, action_schemas, in_force, revision, revisions, simulate,
@@ -15,6 +16,7 @@ pub use self::active::{
 };
 pub use self::difference::ScheduleDifference;
 pub use self::draft_routes::{ActivateRequest, Draft, activate, diff, list, put, read, remove};
+pub use self::forecast::{Forecast, forecast};
 
 /// The media type of a schedule's text.
 pub const JSONL: &str = "application/jsonl";

@@ -1,5 +1,6 @@
 //! Drafts of schedules: stored, compared, checked and put in force, and nobody's change is overwritten unseen.
 
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
 use contract::observatory::{
@@ -31,9 +32,11 @@ fn row(object: &str, exptime: u32) -> String {
 struct Observatory {
     text: Arc<Mutex<String>>,
     orders: Arc<Mutex<Vec<Order>>>,
+    plans: Arc<AtomicU32>,
     _services: Vec<bus::Service>,
     _night: bus::Publisher<NightState>,
-    _schedule: bus::Publisher<ScheduleState>,
+    state: ScheduleState,
+    schedule: bus::Publisher<ScheduleState>,
 }
 
 impl Observatory {
@@ -79,11 +82,16 @@ impl Observatory {
                 json!({"valid": valid, "rows": 1, "errors": u32::from(!valid), "warnings": 0, "findings": findings});
             serde_json::from_value::<ScheduleFindings>(answer).unwrap()
         };
-        let plan = |asked: Result<SchedulePlanQuestion, String>| async move {
-            let asked = asked.unwrap();
-            let mut plan: SchedulePlan = serde_json::from_value(sample("schedule.plan")).unwrap();
-            plan.problem = Some(format!("{} spans", asked.unsafe_utc.len()));
-            plan
+        let plans = Arc::<AtomicU32>::default();
+        let made = plans.clone();
+        let plan = move |asked: Result<SchedulePlanQuestion, String>| {
+            made.fetch_add(1, Ordering::Relaxed);
+            async move {
+                let asked = asked.unwrap();
+                let mut plan: SchedulePlan = serde_json::from_value(sample("schedule.plan")).unwrap();
+                plan.problem = Some(format!("{} spans", asked.unsafe_utc.len()));
+                plan
+            }
         };
         let actions = |asked: Result<ActionQuestion, String>| async move {
             let mut answer: ActionAnswer = serde_json::from_value(sample("actions.answer")).unwrap();
@@ -101,10 +109,10 @@ impl Observatory {
         ];
         let night: NightState = serde_json::from_value(sample("observatory.night")).unwrap();
         let night = stage.publish(Key::Observatory(at.clone(), Part::Night), night).await;
-        let mut schedule: ScheduleState = serde_json::from_value(sample("observatory.schedule")).unwrap();
-        schedule.sha256 = Some(sha256(&text.lock().unwrap()));
-        let schedule = stage.publish(Key::Observatory(at, Part::Schedule), schedule).await;
-        Self { text, orders, _services: services, _night: night, _schedule: schedule }
+        let mut state: ScheduleState = serde_json::from_value(sample("observatory.schedule")).unwrap();
+        state.sha256 = Some(sha256(&text.lock().unwrap()));
+        let schedule = stage.publish(Key::Observatory(at, Part::Schedule), state.clone()).await;
+        Self { text, orders, plans, _services: services, _night: night, state, schedule }
     }
 }
 
@@ -306,5 +314,38 @@ async fn a_schedule_that_somebody_else_put_meanwhile_is_not_replaced() {
     let now = get(&stage, "", JSONL).await.header("etag").unwrap().to_owned();
     assert_eq!(activate("good", &with(&now, "6")).await.json()["state"], "done");
     assert_eq!(activate("good", &with("*", "7")).await.json()["state"], "done", "whichever is in force");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_forecast_is_made_once_for_all_who_look_and_again_for_another_schedule() {
+    let folder = with_users();
+    add_user(folder.path(), "vera", &["viewer:paranal/*"]);
+    let stage = Stage::start_with("requests_per_s = 1000\n", folder.path()).await;
+    let observatory = Observatory::start(&stage).await;
+    let vera = stage.session("vera").await;
+    let ready = async { while get(&stage, "", &vera).await.json()["body"]["sha256"].is_null() {} };
+    tokio::time::timeout(test_support::LIMIT, ready).await.unwrap();
+    let path = SCHEDULE.replace("/schedule", "/forecast");
+    let ask = async |headers: String| send(&stage, &format!("GET {path}"), &headers, "").await;
+    let (one, other, third) = tokio::join!(ask(vera.clone()), ask(vera.clone()), ask(vera.clone()));
+    assert_eq!((one.status, &one.json()["sha256"]), (200, &json!(sha256(&row("old", 10)))), "{}", one.text);
+    assert!(one.json()["rows"][0]["frames"] == 400 && one.json()["made_utc"].is_string(), "{}", one.text);
+    assert_eq!((one.text.as_str(), one.header("etag")), (other.text.as_str(), third.header("etag")));
+    assert_eq!(one.header("cache-control"), Some("private, no-cache"));
+    let known = format!("{vera}If-None-Match: {}\r\n", one.header("etag").unwrap());
+    let again = ask(known.clone()).await;
+    assert_eq!((again.status, again.text.as_str(), again.header("etag")), (304, "", one.header("etag")));
+    assert_eq!(observatory.plans.load(Ordering::Relaxed), 1, "a viewer's look makes none anew");
+
+    let new = row("new", 5);
+    observatory.text.lock().unwrap().clone_from(&new);
+    let state = ScheduleState { sha256: Some(sha256(&new)), ..observatory.state.clone() };
+    observatory.schedule.put(state).await.unwrap();
+    let ready = async { while ask(known.clone()).await.status == 304 {} };
+    tokio::time::timeout(test_support::LIMIT, ready).await.unwrap();
+    let next = ask(known).await;
+    assert_eq!((next.status, &next.json()["sha256"]), (200, &json!(sha256(&new))), "{}", next.text);
+    assert_eq!(observatory.plans.load(Ordering::Relaxed), 2);
     stage.end().await;
 }

@@ -6,6 +6,8 @@ use std::sync::{Arc, Mutex};
 use contract::Key;
 use contract::archive::{ArchiveQuestion, Ask};
 use contract::frame_search::{FrameSearch, SkyPlace};
+use contract::log_search::LogSearch;
+use contract::node::Level;
 use serde_json::{Value, json};
 
 use crate::stage::{Stage, address};
@@ -51,6 +53,11 @@ async fn what_is_no_question_is_refused_with_a_problem_and_never_asked() {
         "frames?with_calibration=maybe",
         "frames?night=20261121&night=20261122",
         "frames?colour=red",
+        "log?level=loud",
+        "log?around_utc=noon",
+        "log?around_utc=2026-11-21T00:00:00Z&oldest=true",
+        "log?limit=100001",
+        "log?message=x",
         "series",
         "series?properties=",
         "series?properties=wx",
@@ -65,6 +72,9 @@ async fn what_is_no_question_is_refused_with_a_problem_and_never_asked() {
         assert_eq!((status.as_u16(), &problem["code"]), (400, &json!("malformed")), "{question}: {problem}");
         assert!(problem["detail"].as_str().is_some_and(|detail| !detail.is_empty()), "{question}: {problem}");
     }
+    let long = "x".repeat(201);
+    let (status, problem) = stage.get(&format!("{TELESCOPE}/log?text={long}")).await;
+    assert!(status == 400 && problem["detail"].as_str().unwrap().contains("at most 200 bytes"), "{problem}");
     assert_eq!(questions.lock().unwrap().len(), before, "none of them was asked");
     for telescope in ["*/*", "**/callisto", "paranal%2Fx/callisto", "paranal/%24", "%20/%20"] {
         for about in ["frames", "series?properties=observingconditions/wx/WindGust"] {
@@ -110,6 +120,24 @@ async fn a_question_comes_to_the_archive_as_it_was_asked() {
     let newest = questions.lock().unwrap().last().cloned().unwrap();
     let Ask::Series { properties, points } = &newest.ask else { panic!("{newest:?}") };
     assert_eq!((properties.len(), *points), (2, 500));
+    let moment = "2026-11-21T03:00:00Z";
+    let search = LogSearch {
+        text: text("50% O'Brien"),
+        level: Some(Level::Warn),
+        node: text("device"),
+        around_utc: Some(moment.parse().unwrap()),
+        oldest: false,
+    };
+    let asked = [
+        (format!("text=50%25%20O'Brien&level=warn&node=device&around_utc={moment}&limit=9"), search, Some(9)),
+        (String::new(), LogSearch::default(), None),
+        (format!("oldest=true&from_utc={moment}"), LogSearch { oldest: true, ..LogSearch::default() }, None),
+    ];
+    for (query, search, limit) in asked {
+        stage.until(&format!("{TELESCOPE}/log?{query}"), |answer| answer["rows"].is_array()).await;
+        let newest = questions.lock().unwrap().last().cloned().unwrap();
+        assert_eq!((newest.ask, newest.limit), (Ask::FindLog(Box::new(search)), limit), "{query}");
+    }
     stage.end().await;
 }
 

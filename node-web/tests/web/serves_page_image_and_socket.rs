@@ -3,6 +3,7 @@
 use axum::routing::get;
 use contract::device::camera::{Frame, Pixel, Purpose};
 use contract::node::{DiaryLine, Level};
+use contract::observatory::NightState;
 use contract::{CommandId, Key, Kind, NodeTopic, Part, Role};
 use serde_json::{Value, json};
 use test_support::serve;
@@ -189,5 +190,45 @@ async fn a_page_from_elsewhere_opens_no_socket() {
         );
     }
     assert!(Socket::open(&stage, "/api/v1/ws", &format!("Origin: {}\r\n", stage.url)).await.is_ok());
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn pictures_of_exactly_the_configured_webcams_may_be_shown() {
+    let webcams = "[[web.webcam]]\nname = \"All-sky\"\nurl = \"https://allsky.example.org:8443/latest.jpg?x=1\"\n\
+                   [[web.webcam]]\nname = \"Dome\"\nurl = \"http://10.0.0.9/cam\"\ntelescope = \"callisto\"\nperiod_s = 5\n\
+                   [[web.webcam]]\nname = \"Elsewhere\"\nurl = \"http://10.0.0.9/other\"\nsite = \"teide\"\n";
+    let stage = Stage::start_with(webcams, std::path::Path::new(".")).await;
+    let night: NightState = serde_json::from_value(sample("observatory.night")).unwrap();
+    let _night = stage.publish(Key::Observatory(address("callisto"), Part::Night), night).await;
+    let page = stage.http.get(&stage.url).send().await.unwrap();
+    let policy = page.headers()["content-security-policy"].to_str().unwrap().to_owned();
+    let images = policy.split("; ").find(|part| part.starts_with("img-src")).unwrap();
+    assert_eq!(images, "img-src 'self' http://10.0.0.9 https://allsky.example.org:8443", "{policy}");
+    assert!(policy.contains("default-src 'self'") && policy.contains("frame-ancestors 'none'"), "{policy}");
+    let network = stage.until("/api/v1/network", |network| network["webcams"] != json!([])).await;
+    let all_sky = json!({"name": "All-sky", "url": "https://allsky.example.org:8443/latest.jpg?x=1", "site_id": "paranal", "period_s": 60.0});
+    let dome = json!({"name": "Dome", "url": "http://10.0.0.9/cam", "site_id": "paranal", "telescope_id": "callisto", "period_s": 5.0});
+    assert_eq!(network["webcams"], json!([all_sky, dome]), "nothing of the other site is known here");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_sky_above_a_telescope_is_worked_out_for_any_moment() {
+    let stage = Stage::start().await;
+    let night: NightState = serde_json::from_value(sample("observatory.night")).unwrap();
+    let _night = stage.publish(Key::Observatory(address("callisto"), Part::Night), night).await;
+    let path = "/api/v1/telescopes/paranal/callisto/sky";
+    let now = stage.until(path, |sky| sky["sun"].is_object()).await;
+    assert!(now["horizon"].is_null() && now["at_utc"].is_string(), "this file has no mount: {now}");
+    let (status, sky) = stage.get(&format!("{path}?at_utc=2026-11-21T03:00:00Z")).await;
+    assert!(status.is_success() && sky["night"]["date"] == "20261120", "{sky}");
+    let deg = |pointer: &str| sky.pointer(pointer).and_then(Value::as_f64).unwrap();
+    assert!(deg("/sun/altitude_deg") < -18.0 && (0.0..360.0).contains(&deg("/sidereal_time_deg")), "{sky}");
+    for wrong in ["at_utc=midnight", "at=2026-11-21T03:00:00Z"] {
+        assert_eq!(stage.get(&format!("{path}?{wrong}")).await.0.as_u16(), 400, "{wrong}");
+    }
+    let (status, problem) = stage.get(&format!("{path}?at_utc=1900-01-01T00:00:00Z")).await;
+    assert_eq!((status.as_u16(), &problem["code"]), (422, &json!("validation")), "{problem}");
     stage.end().await;
 }

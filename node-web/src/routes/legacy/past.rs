@@ -16,13 +16,13 @@ use sky::{Night, Observer};
 use units::{Angle, Utc};
 use users::Principal;
 
-use super::sky_now::place_of;
 use super::{instead, the_telescope};
 use crate::freshness::Quality;
 use crate::json_body::AskedFor;
 use crate::problem::Problem;
 use crate::routes::heartbeat::legacy_time;
 use crate::routes::history::asked;
+use crate::routes::sky::place_of;
 use crate::server::Server;
 
 const DAY_S: f64 = 86_400.0;

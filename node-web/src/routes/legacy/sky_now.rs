@@ -5,16 +5,16 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::{Extension, State};
 use axum::response::{IntoResponse as _, Response};
-use contract::{Address, Key, Kind};
 use schemars::JsonSchema;
 use serde::Serialize;
 use sky::{Body, EarthOrientation, Observer, Place, SkyError};
-use units::{Angle, Utc};
+use units::Utc;
 use users::Principal;
 
 use super::{LegacyQuery, instead, the_telescope};
 use crate::json_body::AskedFor;
 use crate::problem::{Code, Problem};
+use crate::routes::sky::place_of;
 use crate::server::Server;
 
 /// Bodies with their kinds, and the magnitudes that Astra gave them.
@@ -116,20 +116,4 @@ fn sky_now(place: &Place, orientation: &EarthOrientation, at: Utc) -> Result<Sky
         utc_time: at.fits(),
         celestial_bodies,
     })
-}
-
-/// Where a telescope stands: as this server's file says of its own site, or else as the mount does.
-pub fn place_of(server: &Server, address: &Address) -> Option<(Place, EarthOrientation)> {
-    if server.config.place.site == address.site {
-        return server.config.place.on_earth().ok();
-    }
-    let model = server.network.read();
-    let states = model.telescopes.get(address)?.states.values();
-    let mut mounts =
-        states.filter(|entry| matches!(&entry.key, Key::Capabilities(device) if device.kind == Kind::Telescope));
-    let can = &mounts.next()?.body["can"];
-    let number = |name: &str| can[name].as_f64();
-    let [latitude, longitude] = [number("site_latitude_deg")?, number("site_longitude_deg")?].map(Angle::from_degrees);
-    let place = Place::new(latitude, longitude, number("site_elevation_m").unwrap_or(0.0)).ok()?;
-    Some((place, EarthOrientation::default()))
 }
