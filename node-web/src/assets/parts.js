@@ -85,6 +85,7 @@ export const Mode = ({ now, summary }) => html`${now.mode !== "unknown" && html`
 export function Age({ s, worth, never = "not received yet", after = "" }) {
   tick.value; // eslint-disable-line no-unused-expressions
   if (s === null || s === undefined) return html`<span class="age" data-quality="lost">${never}</span>`;
+  if (worth === "fresh" && link.value !== "live") worth = "stale";
   const words = { fresh: "", ageing: "", stale: "stale ", lost: "lost " }[worth] ?? "";
   return html`<span class="age" data-quality=${worth} data-age-s=${Math.floor(s)}>${words}${duration(s)}${after}</span>`;
 }
@@ -92,6 +93,7 @@ export function Age({ s, worth, never = "not received yet", after = "" }) {
 /** A value with its name and unit. `worth` is its quality; what is lost is a dash. */
 export function Stat({ name, value, unit, worth = "fresh", sub, lg, level }) {
   const gone = value === null || value === undefined || value === "" || worth === "lost";
+  if (worth === "fresh" && link.value !== "live") worth = "stale";
   return html`<dl class=${`stat ${lg ? "lg" : ""}`} data-quality=${gone ? "lost" : worth}><dt>${name}</dt><dd><b class=${level ? `ink-${level}` : null}>${gone ? "—" : value}</b>${unit ? ` ${unit}` : ""}</dd>${sub && html`<dd class="sub">${sub}</dd>`}</dl>`;
 }
 

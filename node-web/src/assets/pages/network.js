@@ -12,6 +12,7 @@ import { limitsOf } from "./weather.js";
 /** What a telescope does, in a title and a sentence. */
 export function activity(summary, now) {
   if (now.stopped) return ["Stopped", now.stopped.text];
+  if (!now.fresh && link.value !== "live") return ["Not known without a link", `Last known: ${summary.now || "nothing under way"}.`];
   if (!now.fresh) return [now.never ? "Nothing received" : "Observatory node silent", [summary.now, ...now.domes].filter(Boolean).join(". ")];
   const [first, ...more] = summary.activity ?? [];
   if (first) return [`${sentence(first.action)} ${first.object ?? ""}`.trim(), [first.step, more.length && `and ${more.length} more`].filter(Boolean).join(", ")];
@@ -37,6 +38,7 @@ function Lede({ telescopes }) {
   const rest = telescopes.filter((one) => urgency(one) > 3);
   const counts = new Map();
   for (const one of rest) { const does = closedFor(one) ? `waiting for ${doing(one, standing(one))}` : doing(one, standing(one)); counts.set(does, (counts.get(does) ?? 0) + 1); }
+  if (link.value === "lost") return html`<p class="lede grow" data-testid="lede"><b>Who needs you is not known: there is no link.</b> What follows is how it was.</p>`;
   return html`<p class="lede grow" data-testid="lede">${now.length ? html`<b>${names(now)} ${now.length > 1 ? "need" : "needs"} you now.</b> ` : html`<b>Nothing needs you.</b> `}${later.length ? `${names(later)} ${later.length > 1 ? "need" : "needs"} you tonight. ` : ""}
     ${[...counts].map(([does, n]) => `${n} ${does}`).join(", ")}${counts.size ? "." : ""}</p>`;
 }
