@@ -2,7 +2,7 @@
 import { html, useEffect, useRef, useSignal } from "./lib.js";
 import { CloseButton, Closing } from "./close.js";
 import { clock, day, duration } from "./format.js";
-import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Words, postureIcon, standing, totals, urgency } from "./parts.js";
+import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Words, isCalm, postureIcon, standing, totals, urgency } from "./parts.js";
 import { route } from "./route.js";
 import { fault, link, lostAt, net, roundTrip, skyNow, skySpeed, tick, version } from "./store.js";
 import { leave, me } from "./user.js";
@@ -97,7 +97,7 @@ function worst() {
   let found = null;
   for (const summary of net.value.values()) {
     const now = standing(summary);
-    const alert = summary.alerts?.[0];
+    const alert = summary.alerts?.find((one) => !isCalm(one));
     const rank = urgency(summary, now);
     if (rank <= 2 && (!found || rank < found.rank)) found = { rank, summary, now, alert };
   }

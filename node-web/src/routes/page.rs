@@ -23,7 +23,7 @@ const ASSETS: &[(&str, &[u8])] = assets! {
     "api.js" "app.js" "astro.js" "chart.js" "close.js" "devices.js" "favicon.svg" "format.js" "history.js"
     "image.js" "lib.js" "live.css" "login.js" "manifest.webmanifest" "night.js" "pages.js" "parts.js"
     "picture.js" "pixels.js" "plane.js" "route.js" "service-worker.js" "shell.js" "site.js" "sky.js"
-    "starmesh.css" "store.js" "theme.js" "user.js" "viewer.js" "fonts/LICENSE-Inter.txt" "fonts/LICENSE-JetBrainsMono.txt" "fonts/inter-var.woff2"
+    "starmesh.css" "store.js" "theme.js" "timeview.js" "user.js" "viewer.js" "fonts/LICENSE-Inter.txt" "fonts/LICENSE-JetBrainsMono.txt" "fonts/inter-var.woff2"
     "fonts/jetbrains-mono.woff2" "pages/alerts.js" "pages/controls.js" "pages/device.js" "pages/focus.js"
     "pages/frame.js" "pages/frames.js" "pages/guiding.js" "pages/lightcurve.js" "pages/log.js"
     "pages/network.js" "pages/nodes.js" "pages/report.js" "pages/schedule.js" "pages/telescope.js"
