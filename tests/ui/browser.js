@@ -1,7 +1,9 @@
 // What every test of the page needs: the program under test, a web node with its page, a recorded bus, and Debian's Chromium.
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
-import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import http from "node:http";
+import net from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { chromium } from "playwright-core";
@@ -22,20 +24,53 @@ export const launch = () =>
       "--disable-component-update", "--disable-sync"],
   });
 
-/** A page whose waits end when something hangs, and not before. */
+/** A page whose waits end when something hangs, and not before. What a service worker asks for no test could replace, so there is none unless it is asked for. */
 export async function newPage(browser, options = {}) {
-  const page = await browser.newPage(options);
+  const page = await browser.newPage({ serviceWorkers: "block", ...options });
   page.setDefaultTimeout(LIMIT);
-  // For writing the page: its files as they are now, without building the program.
-  const assets = join(root, "node-web/src/assets");
-  if (process.env.UI_FROM_DISK) await page.route(/\/assets\//, (route) => route.fulfill({ path: join(assets, new URL(route.request().url()).pathname.slice("/assets/".length)) }));
   return page;
+}
+
+/** For writing the page: before a web node, its files as they are on the disk now, without building the program. Gives the address. */
+async function fromDisk(node, url, at) {
+  const assets = join(root, "node-web/src/assets");
+  const { hostname, port } = new URL(url);
+  const types = { js: "text/javascript", css: "text/css", svg: "image/svg+xml", html: "text/html", woff2: "font/woff2", webmanifest: "application/manifest+json" };
+  const asked = (request) => ({ hostname, port, path: request.url, method: request.method, headers: { ...request.headers, host: `${hostname}:${port}`, ...(request.headers.origin && { origin: url }) } });
+  const server = http.createServer((request, response) => {
+    const forward = http.request(asked(request), (answer) => {
+      const { pathname } = new URL(request.url, url);
+      const file = join(assets, pathname.startsWith("/assets/") ? pathname.slice("/assets/".length) : "index.html");
+      if (![200, 404].includes(answer.statusCode) || /^\/(api|lite|metrics|problems|healthz|readyz|version)/.test(pathname) || !existsSync(file)) {
+        response.writeHead(answer.statusCode, answer.headers);
+        return void answer.pipe(response);
+      }
+      answer.resume();
+      const { "content-security-policy": policy } = answer.headers;
+      response.writeHead(200, { "content-type": types[file.split(".").pop()] ?? "text/plain", "content-security-policy": policy, "cache-control": "no-cache", "service-worker-allowed": "/" });
+      response.end(readFileSync(file));
+    });
+    forward.on("error", () => request.socket.destroy());
+    request.pipe(forward);
+  });
+  server.on("upgrade", (request, socket, head) => {
+    const { headers } = asked(request);
+    const to = net.connect(Number(port), hostname, () => {
+      to.write(`GET ${request.url} HTTP/1.1\r\n${Object.entries(headers).map(([name, value]) => `${name}: ${value}`).join("\r\n")}\r\n\r\n`);
+      to.write(head);
+      to.pipe(socket).pipe(to);
+    });
+    for (const [one, other] of [[to, socket], [socket, to]]) one.on("error", () => other.destroy()).on("close", () => other.destroy());
+  });
+  await new Promise((resolve) => { server.listen(at, "127.0.0.1", resolve); });
+  node.once("exit", () => { server.close(); server.closeAllConnections(); });
+  return `http://127.0.0.1:${/** @type {any} */ (server.address()).port}`;
 }
 
 /** What a page must never do: errors of the console, of scripts and of the security policy, and requests to other origins. */
 export function problemsOf(page) {
   const problems = [];
-  page.on("console", (message) => ["error", "warning"].includes(message.type()) && problems.push(`${page.url()}: ${message.text()}`));
+  page.on("console", (message) => ["error", "warning"].includes(message.type()) && !/blocked by Playwright/.test(message.text()) && problems.push(`${page.url()}: ${message.text()}`));
   page.on("pageerror", (error) => problems.push(`${page.url()}: ${error.stack ?? error}`));
   page.on("request", (request) => {
     const { origin, protocol } = new URL(request.url());
@@ -49,23 +84,23 @@ export function problemsOf(page) {
 }
 
 /** Writes the configuration of a telescope that has a web node alone, whose page gets a port from the kernel; returns the file. */
-export function configure(folder, { telescope = "paranal/io", connect = [], clock = "" } = {}) {
+export function configure(folder, { telescope = "paranal/io", connect = [], clock = "", port = 0 } = {}) {
   const [site, name] = telescope.split("/");
   const file = join(folder, "observatory.toml");
   writeFileSync(file, `[observatory]\nsite = "${site}"\ntelescope = "${name}"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n` +
     `elevation_m = 2500\n[bus]\nmulticast = false\nconnect = ${JSON.stringify(connect)}\n${clock && `[clock]\nsimulator = "${clock}"\n`}` +
-    `[web]\nlisten = "127.0.0.1:0"\n`);
+    `[web]\nlisten = "127.0.0.1:${port}"\n`);
   return file;
 }
 
 /** Starts the web node; gives its process, and the address that it prints for its page once that answers. */
-export async function startWebNode(file) {
+export async function startWebNode(file, at = 0) {
   const node = spawn(binary, ["node", "web", "--config", file], { stdio: ["ignore", "ignore", "pipe"] });
   let printed = "";
   node.stderr.on("data", (data) => (printed += data));
   const url = () => /page: (http:\/\/[\d.:]+)\//.exec(printed)?.[1];
   await comesUp(node, url, () => `:\n${printed}`);
-  return { node, url: url() };
+  return { node, url: process.env.UI_FROM_DISK ? await fromDisk(node, url(), at) : url() };
 }
 
 /**
@@ -84,13 +119,18 @@ export async function startRecorded() {
   });
   const { bus, http } = JSON.parse(line);
   const post = (path) => async (body) => assert.ok((await fetch(`${http}${path}`, { method: "POST", body: JSON.stringify(body ?? null) })).ok, path);
-  const { node, url } = await startWebNode(configure(folder, { telescope: "demo/alpha", connect: [bus], clock: http }));
+  const options = { telescope: "demo/alpha", connect: [bus], clock: http };
+  let { node, url } = await startWebNode(configure(folder, options));
+  /** Ends the web node, and starts it again at its address. */
+  const stop = () => end(node, "SIGTERM");
+  const at = Number(new URL(url).port);
+  const again = async () => { ({ node } = await startWebNode(configure(folder, { ...options, port: process.env.UI_FROM_DISK ? 0 : at }), at)); };
   const end_ = async () => {
-    await end(node, "SIGTERM");
+    await stop();
     await end(player, "SIGTERM");
     rmSync(folder, { recursive: true, force: true });
   };
-  return { url, node, put: post("/put"), raw: post("/raw"), events: post("/events"), reset: post("/reset"), orders: () => fetch(`${http}/orders`).then((r) => r.json()),
+  return { url, stop, again, put: post("/put"), raw: post("/raw"), events: post("/events"), reset: post("/reset"), orders: () => fetch(`${http}/orders`).then((r) => r.json()),
     states: () => fetch(`${http}/states`).then((r) => r.json()), end: end_ };
 }
 

@@ -1,6 +1,7 @@
 // Charts over time: panels one below the other with one cursor (uPlot). The far side of a limit is hatched, and no line crosses a gap.
 import { html, useEffect, useRef, useSignal } from "./lib.js";
 import { clock, hourMinute, number } from "./format.js";
+import { TimeTools, useTimeView } from "./timeview.js";
 import uPlot from "./vendor/uplot.js";
 
 /** @type {any} */
@@ -128,9 +129,9 @@ function options(panel, shared, width, last, onAt) {
   const ink = () => css("--ink-3");
   const axis = { stroke: ink, grid: { stroke: () => css("--line"), width: 1 }, ticks: { show: false }, font: "11px Inter, sans-serif" };
   return {
-    width, height: panel.height + (last ? 26 : 0), padding: [6, 8, last ? 0 : 4, 0], legend: { show: false },
-    cursor: { sync: { key: shared.key, setSeries: false }, y: false, drag: { x: Boolean(shared.onZoom), y: false }, points: { size: 7 } },
-    scales: { x: { time: true, range: [shared.t0 / 1000, shared.t1 / 1000] }, y: { range: panel.range ?? range(panel) } },
+    width, height: panel.height + (last ? 26 : 0), padding: [6, 18, last ? 0 : 4, 0], legend: { show: false },
+    cursor: { sync: { key: shared.key, setSeries: false }, y: false, drag: { x: false, y: false, setScale: false }, points: { size: 7 } },
+    scales: { x: { time: true, range: () => shared.view().map((t) => t / 1000) }, y: { range: panel.range ?? range(panel) } },
     axes: [{ ...axis, show: true, size: last ? 26 : 0, values: (_, ticks) => ticks.map((t) => (last ? hourMinute(t * 1000) : "")) },
       { ...axis, size: LEFT, values: (_, ticks) => ticks.map((v) => number(v, Math.abs(v) < 10 && v % 1 ? (Math.abs(v) < 1 && (v * 10) % 1 ? 2 : 1) : 0)) }],
     tzDate: (t) => new Date(new Date(t * 1000).toLocaleString("en-US", { timeZone: "UTC" })),
@@ -139,7 +140,6 @@ function options(panel, shared, width, last, onAt) {
     hooks: {
       drawAxes: [(plot) => draw(plot, panel, shared)],
       setCursor: [(plot) => onAt(plot.cursor.left < 0 ? null : plot.posToVal(plot.cursor.left, "x") * 1000)],
-      setSelect: shared.onZoom && [(plot) => plot.select.width > 4 && shared.onZoom(plot.posToVal(plot.select.left, "x") * 1000, plot.posToVal(plot.select.left + plot.select.width, "x") * 1000)],
     },
   };
 }
@@ -155,14 +155,28 @@ let charts = 0;
 
 /**
  * Panels over one time axis. `panels`: `{ name, unit, digits, height, zero, series: [{ name, points, colour, kind, dash }], limits: [{ v, side, text }] }`; `unsafe`: times in
- * which the dome had to be closed; `marks`: `{ t, text }`; `now`; `onAt(ms)` follows the cursor, also by the arrow keys; `onZoom(from, to)` where a part may be chosen.
+ * which the dome had to be closed; `marks`: `{ t, text }`; `now`; `onAt(ms)` follows the cursor, also by the arrow keys. `plain`: small, without tools below it.
  */
-export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, onZoom, label }) {
+export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, label, plain = false }) {
   const place = useRef(null);
   const plots = useRef([]);
   const key = useRef(`chart${charts += 1}`);
   const at = useSignal(null);
+  const pick = useSignal(null);
   const theme = useSignal(document.documentElement.dataset.theme);
+  const point = (t) => {
+    const [plot] = plots.current;
+    if (plot) plot.setCursor({ left: plot.valToPos(t / 1000, "x"), top: 10 });
+    at.value = t;
+    onAt?.(t);
+  };
+  // The mouse is followed by uPlot itself; touch and keys point here.
+  const over = () => place.current.querySelector(".u-over")?.getBoundingClientRect() ?? { left: 0, width: 1 };
+  const timeOf = (clientX) => { const { left, width } = over(); return view.t0 + ((clientX - left) / width) * (view.t1 - view.t0); };
+  const follow = useRef((_) => {});
+  const view = useTimeView(place, t0, t1, { timeOf, at: () => at.peek(), onAt: () => {}, onPick: (t) => { pick.value = Math.max(t0, Math.min(t1, t)); follow.current(pick.value); } });
+  const shown = useRef([t0, t1]);
+  shown.current = [view.t0, view.t1];
   useEffect(() => {
     const observer = new MutationObserver(() => { theme.value = document.documentElement.dataset.theme; });
     observer.observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
@@ -174,14 +188,16 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, onZoom, label 
     let making = false;
     const moved = (t) => {
       if (making || t === at.peek()) return;
+      // The mouse is away: the cursor goes back to the moment that was chosen.
+      if (t === null && pick.peek() !== null) return void queueMicrotask(() => follow.current(pick.peek()));
       at.value = t;
       onAt?.(t);
     };
-    const shared = { key: key.current, t0, t1, unsafe, marks, now, onZoom };
+    const shared = { key: key.current, unsafe, marks, now, view: () => shown.current };
     const make = () => {
       making = true;
       plots.current.forEach((plot) => plot.destroy());
-      const width = Math.max(200, element.clientWidth);
+      const width = Math.max(plain ? 120 : 200, element.clientWidth);
       plots.current = panels.map((panel, i) => new Plot(options({ height: 120, ...panel }, shared, width, i === panels.length - 1, moved), columns(panel.series), element.querySelectorAll(".plot")[i]));
       making = false;
       // The cursor stays where it was.
@@ -202,19 +218,20 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, onZoom, label 
       plots.current = [];
     };
   }, [shape]);
+  useEffect(() => {
+    for (const plot of plots.current) plot.setScale("x", { min: view.t0 / 1000, max: view.t1 / 1000 });
+  }, [view.t0, view.t1]);
+  follow.current = point;
   const press = (event) => {
-    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    const plot = plots.current[0];
-    if (!step || !plot) return;
-    event.preventDefault();
-    const from = at.peek() ?? Math.min(now ?? t1, t1);
-    const to = Math.max(t0, Math.min(t1, from + (step * (t1 - t0)) / 100));
-    plot.setCursor({ left: plot.valToPos(to / 1000, "x"), top: 10 });
+    // The first step begins at the newest value.
+    if (at.peek() === null && /^Arrow(Left|Right)$/.test(event.key) && !event.shiftKey) at.value = Math.min(now ?? view.t1, view.t1);
+    view.press(event);
   };
-  return html`<div class="chart live-chart" data-testid="chart" ref=${place} tabindex="0" role="img" aria-label=${label ?? `Chart of ${panels.map((panel) => panel.name).join(", ")} over time; arrow keys move the cursor`} onKeyDown=${press}>
+  return html`<div class=${`chart live-chart look ${plain ? "plain" : ""}`} data-testid="chart" data-from=${Math.round(view.t0)} data-to=${Math.round(view.t1)} tabindex="0" role="group" aria-label=${label ?? `Chart of ${panels.map((panel) => panel.name).join(", ")} over time; arrow keys move the cursor, plus and minus zoom, 0 shows all`} onKeyDown=${press}><div class="touch" ref=${place}>
     ${panels.map((panel) => html`<div class="panel" key=${panel.name}><div class="row between read"><span class="m">${panel.name}</span><span>${panel.series.filter((one) => !one.quiet).map((one) => {
       const found = nearest(one.points, at.value ?? now ?? t1);
       return html`<span class="nw" key=${one.name}>${one.name && html`<span class="m">${one.name}</span> `}<b>${found ? number(found[1], panel.digits ?? 1) : "—"}</b> </span>`;
-    })}<span class="m">${panel.unit ?? ""}${at.value ? ` at ${clock(at.value)}` : ""}</span></span></div><div class="plot"></div></div>`)}
-    ${marks?.length > 0 && html`<p class="tagline">${marks.map((mark) => `${clock(mark.t)} ${mark.text}`).join(" · ")}</p>`}</div>`;
+    })}<span class="m">${panel.unit ?? ""}${at.value ? ` at ${clock(at.value)}` : ""}</span></span></div><div class="plot"></div></div>`)}</div>
+    ${marks?.length > 0 && !plain && html`<p class="tagline">${marks.map((mark) => `${clock(mark.t)} ${mark.text}`).join(" · ")}</p>`}
+    ${!plain && html`<${TimeTools} view=${view} at=${at.value} pick=${pick.value} />`}</div>`;
 }

@@ -83,6 +83,3 @@ export function plain(value) {
   if (typeof value === "object") return "no_data" in value ? "—" : JSON.stringify(value);
   return String(value);
 }
-
-/** The shape of each priority, most urgent first: never by colour alone. */
-export const PRIORITY = { critical: "▲", high: "◆", medium: "▼", advisory: "●" };

@@ -11,17 +11,19 @@ export function arrived(summary) {
   const wanted = summary.image;
   const have = pictures.get(summary.id) ?? { shown: null, asked: null };
   pictures.set(summary.id, have);
-  if (wanted && have.asked !== wanted.frame && link.peek() === "live") {
-    have.asked = wanted.frame;
+  // Without a link it is asked once: the browser may have kept it.
+  const asked = wanted && `${wanted.frame}${link.peek() === "live" ? "" : ", kept"}`;
+  if (wanted && have.asked !== asked && (link.peek() === "live" || (link.peek() === "lost" && !have.shown))) {
+    have.asked = asked;
     const src = `/api/v1/telescopes/${summary.id}/image.jpg?frame=${encodeURIComponent(wanted.frame)}`;
     const since = summary.received - summary.image_age_s * 1000;
     const image = new Image();
     image.onload = () => {
       // An older one may arrive after a newer one.
-      if (have.asked === wanted.frame) have.shown = { ...wanted, src, since };
+      if (have.asked === asked) have.shown = { ...wanted, src, since };
       arrivals.value += 1;
     };
-    image.onerror = () => { if (have.asked === wanted.frame) have.asked = null; };
+    image.onerror = () => { if (have.asked === asked && link.peek() === "live") have.asked = null; };
     image.src = src;
   }
   // Pictures of telescopes that are gone are not kept.

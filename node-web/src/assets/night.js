@@ -1,81 +1,203 @@
-// The night of one telescope on one axis: twilight, altitude of targets and Moon, what was planned, what was done, and what is forecast.
-import { html, useEffect, useRef, useSignal } from "./lib.js";
+// The night on one axis: twilight, altitude of targets and Moon, what was planned, what was done, and what is forecast; of one telescope, or of all.
+import { html, useEffect, useMemo, useRef, useSignal } from "./lib.js";
+import { useReport } from "./api.js";
 import { altaz, moon, twilight } from "./astro.js";
 import { clock, hourMinute } from "./format.js";
+import { standing } from "./parts.js";
+import { useSite } from "./site.js";
+import { net, useTopic } from "./store.js";
+import { TimeTools, useTimeView } from "./timeview.js";
 
 const LANE = 25;
 const TOP = 22;
 const FOOT = 20;
+const HOUR = 3600e3;
 const utc = (value) => Date.parse(value);
+const words = (text) => String(text ?? "").replaceAll("_", " ");
 
 /** Full hours, or less, that fit. */
 function ticks(t0, t1, px) {
-  const every = [15, 30, 60, 120, 180, 360].find((minutes) => ((t1 - t0) / 6e4 / minutes) * 58 < px) * 6e4;
+  const every = [1, 2, 5, 10, 15, 30, 60, 120, 180, 360].find((minutes) => ((t1 - t0) / 6e4 / minutes) * 58 < px) * 6e4;
   const out = [];
   for (let t = Math.ceil(t0 / every) * every; t <= t1; t += every) out.push(t);
   return out;
 }
 
+/** The same bands are drawn each second. */
+const known = new Map();
+function twilightOf(t0, t1, site) {
+  const name = `${site.lat} ${site.lon} ${t0} ${t1}`;
+  if (!known.has(name)) {
+    if (known.size > 60) known.clear();
+    known.set(name, twilight(t0, t1, site));
+  }
+  return known.get(name);
+}
+
 /** From an hour before sunset to an hour after sunrise, around a moment. */
-export function nightSpan(site, moment, rows) {
-  const bands = site ? twilight(moment - 18 * 3600e3, moment + 18 * 3600e3, site) : [];
-  const dark = bands.filter((band) => band.kind !== "day");
-  let [from, to] = [moment - 6 * 3600e3, moment + 6 * 3600e3];
+export function nightSpan(site, time, rows) {
+  const moment = Math.floor(time / 6e5) * 6e5;
+  const dark = site ? twilightOf(moment - 18 * HOUR, moment + 18 * HOUR, site).filter((band) => band.kind !== "day") : [];
+  let [from, to] = [moment - 6 * HOUR, moment + 6 * HOUR];
   const groups = [];
   for (const band of dark) {
     const last = groups[groups.length - 1];
     if (last && band.from - last[1] < 6e4) last[1] = band.to;
     else groups.push([band.from, band.to]);
   }
-  const mine = groups.find(([a, b]) => moment >= a - 3600e3 && moment <= b + 3600e3) ?? groups.find(([a]) => a > moment);
-  if (mine) [from, to] = [mine[0] - 3600e3, mine[1] + 3600e3];
+  const mine = groups.find(([a, b]) => moment >= a - HOUR && moment <= b + HOUR) ?? groups.find(([a]) => a > moment);
+  if (mine) [from, to] = [mine[0] - HOUR, mine[1] + HOUR];
   for (const row of rows) {
-    if (utc(row.start_utc) > from - 6 * 3600e3 && utc(row.start_utc) < from) from = utc(row.start_utc);
-    if (utc(row.end_utc) < to + 6 * 3600e3 && utc(row.end_utc) > to) to = utc(row.end_utc);
+    if (utc(row.start_utc) > from - 6 * HOUR && utc(row.start_utc) < from) from = utc(row.start_utc);
+    if (utc(row.end_utc) < to + 6 * HOUR && utc(row.end_utc) > to) to = utc(row.end_utc);
   }
   return [from, to];
 }
 
-/**
- * `rows`: windows with status; `plan`: rows of a forecast with `runs_utc` and `altitude_curve`; `done`: pieces of the night's report; `site`; `now`. Any may be absent.
- */
-export function Night({ rows = [], plan = [], done = [], site, now, label = "The night" }) {
-  const place = useRef(null);
+const STOPS = { weather: "b-stop", fault: "b-gone" };
+/** Exposures that follow each other within this are one block, s. */
+const TOGETHER_S = 300;
+
+/** What was done: exposures of a row are one block with their number, and what held it up stands between them. @returns {any[]} */
+export function blocksOf(done, rows) {
+  const out = [];
+  for (const piece of done) {
+    const [from, to] = [utc(piece.from_utc), utc(piece.to_utc)];
+    if (!(to - from > 2000)) continue;
+    if (STOPS[piece.group]) {
+      out.push({ from, to, cls: STOPS[piece.group], texts: [words(String(piece.kind).split("/").pop())], title: String(piece.kind) });
+    } else if (piece.group === "open_shutter") {
+      const row = rows.find((one) => one.object && utc(one.start_utc) <= to && utc(one.end_utc) >= from);
+      const last = out[out.length - 1];
+      if (last?.row === row && last.frames && from - last.to < TOGETHER_S * 1000) Object.assign(last, { to, frames: last.frames + 1 });
+      else out.push({ from, to, row, frames: 1, cls: row?.status === "running" ? "b-run" : "b-done", name: words(row?.object ?? piece.kind) });
+    }
+  }
+  return out.map((block) => (block.frames ? { ...block, texts: [`${block.name}, ${block.frames} ${block.frames > 1 ? "frames" : "frame"}`, `${block.name}, ${block.frames}`, block.name, String(block.frames)] } : block));
+}
+
+/** Width of an element, as it changes. */
+function useWidth(place, least) {
   const width = useSignal(900);
   useEffect(() => {
-    const observer = new ResizeObserver(() => { if (place.current) width.value = Math.max(280, place.current.clientWidth); });
+    const observer = new ResizeObserver(() => { if (place.current) width.value = Math.max(least, place.current.clientWidth); });
     observer.observe(place.current);
     return () => observer.disconnect();
   }, []);
-  const small = width.value < 560;
+  return width.value;
+}
+
+/**
+ * A bar between two times, with the longest of its texts for which there is room.
+ * @param {{ from: number, to: number, cls: string, texts: string[], title?: string }} block @param {(ms: number) => number} X @param {number[]} span
+ * @param {number} y @param {string | number} key
+ */
+function bar({ from, to, cls, texts, title }, X, [t0, t1], y, key) {
+  if (to < t0 || from > t1) return null;
+  const x = X(Math.max(from, t0));
+  const w = Math.max(1.5, X(Math.min(to, t1)) - x);
+  const text = texts.find((one) => w > one.length * 6.4 + 8);
+  return html`<g key=${key}><title>${title ?? texts[0]}</title><rect class=${cls} x=${x.toFixed(1)} y=${y + 1} width=${w.toFixed(1)} height="18" rx="3" />${text && html`<text x=${x + 6} y=${y + 14} class=${/b-(done|run)/.test(cls) ? "on" : "in"}>${text}</text>`}</g>`;
+}
+
+const bands = (t0, t1, site, X, y, height) => site && twilightOf(t0, t1, site).map((band) => html`<rect key=${band.from} class=${`tw-${band.kind}`} x=${X(band.from).toFixed(1)} y=${y} width=${(X(band.to) - X(band.from) + 0.6).toFixed(1)} height=${height} />`);
+
+/**
+ * `rows`: windows with status; `plan`: rows of a forecast with `runs_utc` and `altitude_curve`; `report`: of the night; `verdicts`: intervals of the
+ * verdict; `site`; `now`. Any may be absent. A phone begins with the hours around now.
+ */
+export function Night({ rows = [], plan = [], report = null, verdicts = [], site, now, label = "The night" }) {
+  const place = useRef(null);
+  const hover = useSignal(null);
+  const pick = useSignal(null);
+  const at = hover.value ?? pick.value;
+  const W = useWidth(place, 280);
+  const small = W < 560;
   const [from, to] = nightSpan(site, now, rows);
-  const [t0, t1] = small ? [Math.max(from, now - 3 * 3600e3), Math.min(to, now + 4 * 3600e3)] : [from, to];
-  if (!(t1 > t0)) return html`<div ref=${place}><p class="m">Nothing is planned around now.</p></div>`;
   const left = small ? 48 : 74;
-  const W = width.value;
+  const timeOf = (clientX) => view.t0 + ((clientX - place.current.getBoundingClientRect().left - left) / (W - left - 4)) * (view.t1 - view.t0);
+  const view = useTimeView(place, from, to, { timeOf, at: () => hover.peek() ?? pick.peek(), onAt: (t) => { hover.value = t >= from && t <= to ? t : null; }, onPick: (t) => { hover.value = null; pick.value = t >= from && t <= to ? t : null; }, first: innerWidth < 640 ? [now - 3 * HOUR, now + 4 * HOUR] : null });
+  const { t0, t1 } = view;
   const X = (t) => left + ((t - t0) / (t1 - t0)) * (W - left - 4);
   const chart = small ? 84 : 112;
   const Y = (altitude) => TOP + chart - (Math.max(0, altitude) / 90) * chart;
-  const lanes = ["plan", "done"];
+  const done = report?.timeline ?? [];
+  const blocks = blocksOf(done, rows);
+  const lanes = ["plan", "done", ...(verdicts.length ? ["safety"] : []), ...(done.length ? ["frames"] : [])];
   const H = TOP + chart + 8 + lanes.length * LANE + FOOT;
+  const laneY = (name) => TOP + chart + 8 + lanes.indexOf(name) * LANE;
   const path = (points) => points.map(([t, altitude], i) => (altitude === null ? "" : `${i && points[i - 1][1] !== null ? "L" : "M"}${X(t).toFixed(1)} ${Y(altitude).toFixed(1)}`)).join("");
   const track = [];
   if (site) for (let t = t0; t <= t1; t += 6e5) { const { alt } = altaz(moon(t), t, site); track.push([t, alt > 0 ? alt : null]); }
-  const box = (a, b, cls, text, y, key, title) => {
-    const [x, w] = [X(Math.max(a, t0)), Math.max(1.5, X(Math.min(b, t1)) - X(Math.max(a, t0)))];
-    if (b < t0 || a > t1) return null;
-    return html`<g key=${key}><title>${title ?? text}</title><rect class=${cls} x=${x.toFixed(1)} y=${y + 1} width=${w.toFixed(1)} height="18" rx="3" />${text && w > text.length * 6.4 + 8 && html`<text x=${x + 6} y=${y + 14} class=${/b-(done|run)/.test(cls) ? "on" : "in"}>${text}</text>`}</g>`;
-  };
-  const laneY = (i) => TOP + chart + 8 + i * LANE;
-  const KIND = { open_shutter: "b-done", weather: "b-stop", fault: "b-gone" };
-  return html`<div class="tl" ref=${place}><svg viewBox=${`0 0 ${W} ${H}`} height=${H} role="img" aria-label=${`${label}: ${rows.map((row) => `${row.action} ${row.object ?? ""} ${hourMinute(row.start_utc)} to ${hourMinute(row.end_utc)}, ${row.status}`).join("; ")}`}>
-    ${site && twilight(t0, t1, site).map((band) => html`<rect key=${band.from} class=${`tw-${band.kind}`} x=${X(band.from).toFixed(1)} y=${TOP} width=${(X(band.to) - X(band.from) + 0.6).toFixed(1)} height=${H - TOP - FOOT} />`)}
+  const span = [t0, t1];
+  const planned = rows.map((row) => ({ from: utc(row.start_utc), to: utc(row.end_utc), cls: row.status === "failed" ? "b-err" : "b-plan", texts: [words(row.object ?? row.action)], title: `${row.row + 1}. ${[row.action, row.object].filter(Boolean).join(" ")}, ${row.status}${row.detail ? `: ${row.detail}` : ""}` }));
+  const ahead = plan.flatMap((row) => (row.runs_utc ?? []).filter(([, end]) => utc(end) > now).map(([a, b]) => ({ from: Math.max(now, utc(a)), to: utc(b), cls: "b-next", texts: [words(row.object ?? row.action)], title: `forecast: ${row.action} ${row.object ?? ""} ${hourMinute(a)} to ${hourMinute(b)}` })));
+  const judged = verdicts.map((one) => ({ from: utc(one.from_utc), to: one.until_utc ? utc(one.until_utc) : now, safe: one.verdict === "safe", title: `${one.verdict}${one.reasons?.length ? `: ${one.reasons.join("; ")}` : ""}` }));
+  const marks = [...(report?.focus_runs ?? []).map((one) => [utc(one.started_utc), "F", "focus run"]), ...(report?.alerts ?? []).filter((one) => ["critical", "high", "medium"].includes(one.priority)).map((one) => [utc(one.raised_utc), { critical: "▲", high: "◆", medium: "▼" }[one.priority], one.cause ?? one.id])].filter(([t]) => t >= t0 && t <= t1);
+  const covers = (list) => { const found = list.find((one) => at >= one.from && at <= one.to); return found && (found.title ?? found.texts?.[0]); };
+  const what = at === null ? "" : [covers(blocks) ?? covers(ahead) ?? done.find((piece) => at >= utc(piece.from_utc) && at <= utc(piece.to_utc))?.kind ?? covers(planned), covers(judged.filter((one) => !one.safe))].filter(Boolean).join(" · ");
+  return html`<div class="tl look" tabindex="0" role="group" aria-label=${`${label}; arrow keys move the cursor, plus and minus zoom, 0 shows all`} onKeyDown=${view.press}><div ref=${place} class="touch" data-testid="timeline" data-from=${Math.round(t0)} data-to=${Math.round(t1)}>
+    <svg viewBox=${`0 0 ${W} ${H}`} height=${H} role="img" aria-label=${`${label}: ${rows.map((row) => `${row.action} ${row.object ?? ""} ${hourMinute(row.start_utc)} to ${hourMinute(row.end_utc)}, ${row.status}`).join("; ")}`}>
+    ${bands(t0, t1, site, X, TOP, H - TOP - FOOT)}
     ${ticks(t0, t1, W - left).map((t) => html`<g key=${t}><path class="ax" d=${`M${X(t)} ${TOP}V${H - FOOT}`} /><text x=${X(t)} y=${H - 5} text-anchor="middle">${hourMinute(t)}</text></g>`)}<text x=${left - 8} y=${H - 5} text-anchor="end">UTC</text>
-    ${[0, 30, 60].map((altitude) => html`<text key=${altitude} x=${left - 8} y=${Y(altitude) + 4} text-anchor="end">${altitude ? `${altitude}°` : "altitude"}</text>`)}<path class="lim" d=${`M${left} ${Y(30)}H${W - 4}`} />
-    <path class="ln moonln" d=${path(track)} />${plan.filter((row) => row.altitude_curve?.length).map((row) => html`<path key=${row.row} class="ln s4" d=${path(row.altitude_curve.map((point) => [utc(point.at_utc), point.altitude_deg]))}><title>${row.object ?? ""}</title></path>`)}
-    ${lanes.map((name, i) => html`<text key=${name} x=${left - 8} y=${laneY(i) + 14} text-anchor="end">${name}</text>`)}
-    ${rows.map((row) => box(utc(row.start_utc), utc(row.end_utc), row.status === "failed" ? "b-err" : "b-plan", row.object ?? row.action, laneY(0), `r${row.row}`, `${row.row + 1}. ${[row.action, row.object].filter(Boolean).join(" ")}, ${row.status}${row.detail ? `: ${row.detail}` : ""}`))}
-    ${done.filter((piece) => KIND[piece.group] && utc(piece.to_utc) - utc(piece.from_utc) > 2000).map((piece, i) => box(utc(piece.from_utc), utc(piece.to_utc), KIND[piece.group], piece.group === "open_shutter" ? "" : piece.kind, laneY(1), `d${i}`, `${clock(piece.from_utc)} to ${clock(piece.to_utc)}: ${piece.kind}`))}
-    ${plan.flatMap((row) => (row.runs_utc ?? []).filter(([, end]) => utc(end) > now).map(([a, b], i) => box(Math.max(now, utc(a)), utc(b), "b-next", row.object ?? row.action, laneY(1), `f${row.row} ${i}`, `forecast: ${row.action} ${row.object ?? ""} ${hourMinute(a)} to ${hourMinute(b)}`)))}
-    ${now >= t0 && now <= t1 && html`<path class="now" d=${`M${X(now)} 6V${H - FOOT}`} /><rect class="nowflag" x=${X(now) + 2} y="4" width="62" height="17" rx="4" /><text class="nowt" x=${X(now) + 33} y="16.5" text-anchor="middle">now ${hourMinute(now)}</text>`}</svg></div>`;
+    ${[0, 30, 60].map((altitude) => html`<text key=${altitude} x=${left - 8} y=${Y(altitude) + 4} text-anchor="end">${altitude ? `${altitude}°` : small ? "alt" : "altitude"}</text>`)}<path class="lim" d=${`M${left} ${Y(30)}H${W - 4}`} />
+    <path class="ln moonln" d=${path(track)} />${plan.filter((row) => row.altitude_curve?.length).map((row) => html`<path key=${row.row} class="ln s4" d=${path(row.altitude_curve.map((point) => [utc(point.at_utc), point.altitude_deg]).filter(([t]) => t >= t0 && t <= t1))}><title>${row.object ?? ""}</title></path>`)}
+    ${lanes.map((name) => html`<text key=${name} x=${left - 8} y=${laneY(name) + 14} text-anchor="end">${name}</text>`)}
+    ${planned.map((one, i) => bar(one, X, span, laneY("plan"), `r${i}`))}${blocks.map((one, i) => bar(one, X, span, laneY("done"), `d${i}`))}${ahead.map((one, i) => bar(one, X, span, laneY("done"), `f${i}`))}
+    ${judged.map((one, i) => (one.safe ? one.to > t0 && one.from < t1 && html`<rect key=${`s${i}`} class="b-done" x=${X(Math.max(one.from, t0))} y=${laneY("safety") + 8} width=${Math.max(1, X(Math.min(one.to, t1)) - X(Math.max(one.from, t0)))} height="4" rx="2" />` : bar({ ...one, cls: "b-stop", texts: ["unsafe"] }, X, span, laneY("safety"), `s${i}`)))}
+    ${done.filter((piece) => piece.group === "open_shutter" && utc(piece.from_utc) >= t0 && utc(piece.from_utc) <= t1).map((piece) => html`<path key=${piece.from_utc} class="fr" d=${`M${X(utc(piece.from_utc)).toFixed(1)} ${laneY("frames") + 5}v11`} />`)}
+    ${marks.map(([t, sign, words], i) => html`<g key=${`m${i}`}><title>${`${clock(t)} ${words}`}</title><path class="mark" d=${`M${X(t)} ${TOP}V${H - FOOT}`} /><text class="h" x=${X(t)} y="17" text-anchor="middle">${sign}</text></g>`)}
+    ${at !== null && at >= t0 && at <= t1 && html`<path class="cur" d=${`M${X(at)} ${TOP}V${H - FOOT}`} />`}
+    ${now >= t0 && now <= t1 && html`<path class="now" d=${`M${X(now)} 6V${H - FOOT}`} /><rect class="nowflag" x=${Math.min(X(now) + 2, W - 66)} y="4" width="62" height="17" rx="4" /><text class="nowt" x=${Math.min(X(now) + 33, W - 35)} y="16.5" text-anchor="middle">now ${hourMinute(now)}</text>`}</svg></div>
+    <${TimeTools} view=${view} at=${at} pick=${pick.value} what=${what} /></div>`;
+}
+
+/** One telescope of many: its name, which leads to it, what was done, and what is planned. `neighbour` is one of its site, for all of them the same. */
+function Line({ id, neighbour, now, night, draw, y, small, onSite }) {
+  const site = useSite(neighbour, null);
+  useEffect(() => { if (site) onSite(neighbour, site); }, [neighbour, site?.lat, site?.lon]);
+  const summary = net.value.get(id);
+  const entry = useTopic(`tel/${id}/observatory/schedule`)?.get(`${id}/observatory/schedule/state`);
+  const rows = entry?.body.rows ?? NONE;
+  const report = useReport(id, night).data;
+  const done = useMemo(() => (report?.timeline ? blocksOf(report.timeline, rows) : null), [report, rows]);
+  const silent = summary && !standing(summary).fresh;
+  const ahead = rows.filter((row) => ["pending", "running", "interrupted"].includes(row.status) && utc(row.end_utc) > now).map((row) => ({ from: Math.max(now, utc(row.start_utc)), to: utc(row.end_utc), cls: silent ? "b-gone" : "b-next", texts: [silent ? "nobody knows" : words(row.object ?? row.action)],
+    title: `${row.action} ${row.object ?? ""} ${hourMinute(row.start_utc)} to ${hourMinute(row.end_utc)}` }));
+  // Without a report of the archive the windows of finished rows stand for what was done.
+  const past = done ?? rows.filter((row) => row.status === "finished" && row.object).map((row) => ({ from: utc(row.start_utc), to: Math.min(now, utc(row.end_utc)), cls: "b-plan", texts: [words(row.object)], title: `${row.object}, ${row.status}` }));
+  const name = summary?.telescope_id ?? id;
+  return html`<g data-testid="night-line" data-telescope=${id}><a href=${`/t/${id}`}><text class="h" x="0" y=${y + 15}>${small && name.length > 12 ? `${name.slice(0, 11)}…` : name}</text></a>${bands(draw.t0, draw.t1, site, draw.X, y, 22)}${[...past, ...ahead].map((one, k) => bar(one, draw.X, [draw.t0, draw.t1], y + 1, k))}</g>`;
+}
+const NONE = [];
+
+/** The night of all telescopes, one below the other: `telescopes` are their summaries; what each did is read when this comes into view. */
+export function Nights({ telescopes, now, night }) {
+  const place = useRef(null);
+  const hover = useSignal(null);
+  const seen = useSignal(false);
+  const W = useWidth(place, 300);
+  useEffect(() => {
+    const observer = new IntersectionObserver(([entry]) => { if (entry.isIntersecting) seen.value = true; }, { rootMargin: "200px" });
+    observer.observe(place.current);
+    return () => observer.disconnect();
+  }, []);
+  const small = W < 560;
+  const sites = useSignal({});
+  const onSite = (id, site) => { sites.value = { ...sites.peek(), [id]: site }; };
+  const first = new Map(telescopes.map((one) => [one.site_id, one.id]).reverse());
+  const spans = Object.values(sites.value).map((site) => nightSpan(site, now, NONE));
+  const [from, to] = spans.length ? [Math.min(...spans.map(([a]) => a)), Math.max(...spans.map(([, b]) => b))] : nightSpan(null, now, NONE);
+  const left = small ? 84 : 118;
+  const timeOf = (clientX) => view.t0 + ((clientX - place.current.getBoundingClientRect().left - left) / (W - left - 4)) * (view.t1 - view.t0);
+  const onAt = (t) => { hover.value = t >= from && t <= to ? t : null; };
+  const view = useTimeView(place, from, to, { timeOf, at: () => hover.peek(), onAt, onPick: onAt, first: innerWidth < 640 ? [now - 3 * HOUR, now + 4 * HOUR] : null });
+  const { t0, t1 } = view;
+  const draw = { t0, t1, X: (t) => left + ((t - t0) / (t1 - t0)) * (W - left - 4) };
+  const H = telescopes.length * 26 + FOOT;
+  return html`<div class="tl look" tabindex="0" role="group" aria-label="The night of all telescopes; the table says what each does. Arrow keys move the cursor, plus and minus zoom, 0 shows all." onKeyDown=${view.press}><div ref=${place} class="touch" style=${{ minHeight: `${H}px` }}>
+    ${seen.value && html`<svg viewBox=${`0 0 ${W} ${H}`} height=${H}>${telescopes.map(({ id, site_id: site }, i) => html`<${Line} key=${id} id=${id} neighbour=${first.get(site)} onSite=${onSite} now=${now} night=${night} draw=${draw} y=${i * 26} small=${small} />`)}
+    ${ticks(t0, t1, W - left).map((t) => html`<text key=${t} x=${draw.X(t)} y=${H - 4} text-anchor="middle">${hourMinute(t)}</text>`)}<text x="0" y=${H - 4}>UTC</text>
+    ${hover.value !== null && hover.value >= t0 && hover.value <= t1 && html`<path class="cur" d=${`M${draw.X(hover.value)} 0V${H - FOOT}`} />`}${now >= t0 && now <= t1 && html`<path class="now" d=${`M${draw.X(now)} 0V${H - FOOT}`} />`}</svg>`}</div>
+    <${TimeTools} view=${view} at=${hover.value} id=${null} /></div>`;
 }

@@ -45,20 +45,31 @@ export function standing(summary) {
   };
 }
 
-/** The most urgent priority of a telescope as 1 to 4, or 9: its two words and its alerts. */
+/** Is nobody being called for it: its cause went away, somebody has acknowledged it, or it is shelved? */
+export const isCalm = (alert) => Boolean(alert?.returned_utc || alert?.acknowledged_by || alert?.shelved_until_utc);
+
+/** How many alerts of each priority call for somebody. */
+export function countsOf(summary) {
+  const counts = Object.fromEntries(PRIORITIES.map((word) => [word, 0]));
+  for (const alert of summary.alerts ?? []) if (!isCalm(alert) && alert?.priority in counts) counts[alert.priority] += 1;
+  return counts;
+}
+
+/** The most urgent priority of a telescope as 1 to 4, or 9: its two words and the alerts that call for somebody. */
 export function urgency(summary, now = standing(summary)) {
-  const counts = summary.alert_counts ?? {};
+  const counts = countsOf(summary);
   return Math.min(now.concern ?? 9, PRIORITIES.findIndex((word) => counts[word] > 0) + 1 || 9);
 }
 
-/** Counts of a list of summaries: alerts, and telescopes whose two words are alarming without one. */
+/** Counts of a list of summaries: alerts that call for somebody, and telescopes whose two words are alarming without one. */
 export function totals(summaries) {
   const sum = { critical: 0, high: 0, medium: 0, advisory: 0 };
   for (const summary of summaries) {
-    for (const priority in sum) sum[priority] += summary.alert_counts?.[priority] ?? 0;
+    const counts = countsOf(summary);
+    for (const priority of PRIORITIES) sum[priority] += counts[priority];
     const { concern } = standing(summary);
     const word = PRIORITIES[concern - 1];
-    if (word && !summary.alert_counts?.[word]) sum[word] += 1;
+    if (word && !counts[word]) sum[word] += 1;
   }
   return sum;
 }
@@ -67,16 +78,21 @@ const SAFETY = { safe: "safe", unsafe: "unsafe", unknown: "unknown" };
 const POSTURE = { open: "open", closed: "closed", opening: "moving", closing: "moving" };
 export const postureIcon = (posture) => POSTURE[posture] ?? "domeq";
 
-/** Safety and posture: two words that never merge. */
-export function Words({ now, lg }) {
-  if (now.stopped) return html`<span class="words" data-testid="words" data-safety="stopped" data-posture=${now.posture}><span class=${`word ${lg ? "lg" : ""}`} data-level="quiet"><${Icon} name=${postureIcon(now.posture)} />${now.stopped.text}</span></span>`;
+/** The two words, each alone: safety, then the dome. */
+export function wordCells(now, lg = false, short = true) {
   const level = now.concern ? `p${now.concern}` : now.safety === "unsafe" && now.posture === "closed" ? "quiet" : null;
   const safetyLevel = now.concern && (now.safety !== "safe" || now.posture === "unknown") ? `p${now.concern}` : now.safety === "unsafe" ? level ?? "quiet" : null;
   const postureLevel = now.concern && now.posture !== "closed" ? `p${now.concern}` : null;
-  return html`<span class="words" data-testid="words" data-safety=${now.safety} data-posture=${now.posture}>
-    <span class=${`word ${lg ? "lg" : ""}`} data-safety=${now.safety} data-level=${safetyLevel}><span class="vh">safety </span><${Icon} name=${SAFETY[now.safety] ?? "unknown"} />${now.safety === "unknown" ? "SAFETY UNKNOWN" : now.safety.toUpperCase()}</span>
-    <span class=${`word ${lg ? "lg" : ""}`} data-posture=${now.posture} data-level=${postureLevel}><span class="vh">dome </span><${Icon} name=${postureIcon(now.posture)} />${now.posture === "unknown" ? "DOME UNKNOWN" : String(now.posture).toUpperCase()}</span>
-  </span>`;
+  const cls = `word ${lg ? "lg" : ""}`;
+  const unknown = (subject) => (short ? "UNKNOWN" : `${subject} UNKNOWN`);
+  return [html`<span class=${cls} data-safety=${now.safety} data-level=${safetyLevel}><span class="vh">safety </span><${Icon} name=${SAFETY[now.safety] ?? "unknown"} />${now.safety === "unknown" ? unknown("SAFETY") : now.safety.toUpperCase()}</span>`,
+    html`<span class=${cls} data-posture=${now.posture} data-level=${postureLevel}><span class="vh">dome </span><${Icon} name=${postureIcon(now.posture)} />${now.posture === "unknown" ? unknown("DOME") : String(now.posture).toUpperCase()}</span>`];
+}
+
+/** Safety and posture: two words that never merge. */
+export function Words({ now, lg }) {
+  if (now.stopped) return html`<span class="words" data-testid="words" data-safety="stopped" data-posture=${now.posture}><span class=${`word ${lg ? "lg" : ""}`} data-level="quiet"><${Icon} name=${postureIcon(now.posture)} />${now.stopped.text}</span></span>`;
+  return html`<span class="words" data-testid="words" data-safety=${now.safety} data-posture=${now.posture}>${wordCells(now, lg, false)}</span>`;
 }
 
 export const Mode = ({ now, summary }) => html`${now.mode !== "unknown" && html`<span class="mode">${String(now.mode).toUpperCase()}</span>`}${summary.simulated && html`<span class="mode sim">SIMULATION</span>`}`;
@@ -85,6 +101,7 @@ export const Mode = ({ now, summary }) => html`${now.mode !== "unknown" && html`
 export function Age({ s, worth, never = "not received yet", after = "" }) {
   tick.value; // eslint-disable-line no-unused-expressions
   if (s === null || s === undefined) return html`<span class="age" data-quality="lost">${never}</span>`;
+  if (worth === "fresh" && link.value !== "live") worth = "stale";
   const words = { fresh: "", ageing: "", stale: "stale ", lost: "lost " }[worth] ?? "";
   return html`<span class="age" data-quality=${worth} data-age-s=${Math.floor(s)}>${words}${duration(s)}${after}</span>`;
 }
@@ -92,6 +109,7 @@ export function Age({ s, worth, never = "not received yet", after = "" }) {
 /** A value with its name and unit. `worth` is its quality; what is lost is a dash. */
 export function Stat({ name, value, unit, worth = "fresh", sub, lg, level }) {
   const gone = value === null || value === undefined || value === "" || worth === "lost";
+  if (worth === "fresh" && link.value !== "live") worth = "stale";
   return html`<dl class=${`stat ${lg ? "lg" : ""}`} data-quality=${gone ? "lost" : worth}><dt>${name}</dt><dd><b class=${level ? `ink-${level}` : null}>${gone ? "—" : value}</b>${unit ? ` ${unit}` : ""}</dd>${sub && html`<dd class="sub">${sub}</dd>`}</dl>`;
 }
 

@@ -2,7 +2,7 @@
 import { html, useEffect, useRef, useSignal } from "./lib.js";
 import { CloseButton, Closing } from "./close.js";
 import { clock, day, duration } from "./format.js";
-import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Words, postureIcon, standing, totals, urgency } from "./parts.js";
+import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Words, isCalm, postureIcon, standing, totals, urgency } from "./parts.js";
 import { route } from "./route.js";
 import { fault, link, lostAt, net, roundTrip, skyNow, skySpeed, tick, version } from "./store.js";
 import { leave, me } from "./user.js";
@@ -83,7 +83,7 @@ function Top({ title }) {
   const { id, site } = route.value;
   const words = { live: `live${roundTrip.value === null ? "" : `, ${Math.round(roundTrip.value)} ms`}`, lost: "LINK LOST", connecting: "connecting" }[link.value];
   return html`<header class="top"><div class="crumbs grow">${id ? html`<a href="/">${site}</a> <b class="cut">${title}</b>` : html`<b class="cut">${title}</b>`}</div>
-    <div class="clock"><b data-testid="utc">${sky === null ? "--:--:--" : clock(sky)}</b><span>UTC${skySpeed() !== 1 && sky !== null ? ` × ${skySpeed()}` : ""}</span></div>
+    <div class="clock"><b data-testid="utc">${sky === null ? "--:--:--" : clock(sky)}</b><span>UTC${link.value === "lost" ? " ?" : ""}${skySpeed() !== 1 && sky !== null ? ` × ${skySpeed()}` : ""}</span></div>
     ${sky !== null && html`<div class="clock opt"><span>${nightName(sky)}</span></div>`}<span class="sep"></span>
     <span class="linkstate opt" data-link=${link.value} data-testid="link">${words}</span>
     <a class="counts" href="/alerts" aria-label="Alerts"><${Counts} counts=${totals([...net.value.values()])} /></a><${NextTheme} /></header>`;
@@ -97,7 +97,7 @@ function worst() {
   let found = null;
   for (const summary of net.value.values()) {
     const now = standing(summary);
-    const alert = summary.alerts?.[0];
+    const alert = summary.alerts?.find((one) => !isCalm(one));
     const rank = urgency(summary, now);
     if (rank <= 2 && (!found || rank < found.rank)) found = { rank, summary, now, alert };
   }
@@ -114,7 +114,7 @@ export function alarm(summary, now) {
 function Banner() {
   tick.value; // eslint-disable-line no-unused-expressions
   if (link.value === "lost") {
-    return html`<div class="banner lost" role="alert" data-testid="link-lost"><span class="pri off">No link</span><p class="grow"><b>No link to the server${lostAt.value ? ` since ${clock(lostAt.value)}` : ""}.</b>
+    return html`<div class="banner lost" role="alert" data-testid="link-lost"><span class="pri off">No link</span><p class="grow"><b>No link to the server${lostAt.value ? ` since ${skyNow() - lostAt.value > 12 * 3600e3 ? `${day(lostAt.value)} ` : ""}${clock(lostAt.value)}` : ""}.</b>
       <span class="m"> What you see is old. Trying again … ${fault.value} A close order goes out only when the link is back.</span></p></div>`;
   }
   const found = worst();

@@ -1,11 +1,11 @@
 // Where a telescope stands, for twilight, altitudes and the sky map; by its mount, else by the server.
-import { useGet } from "./api.js";
+import { useShared } from "./api.js";
 
 /** `{ lat, lon }` of a telescope in degrees, or null while it is not known. */
 export function useSite(id, states) {
   const can = [...(states ?? [])].find(([key]) => /\/device\/telescope\/[^/]+\/capabilities$/.test(key))?.[1].body?.can;
   const own = Number.isFinite(can?.site_latitude_deg) && Number.isFinite(can?.site_longitude_deg) ? { lat: can.site_latitude_deg, lon: can.site_longitude_deg } : null;
-  const asked = useGet(!own && id ? `/api/sky_data?telescope=${encodeURIComponent(id)}` : null);
+  const asked = useShared(!own && id ? `/api/sky_data?telescope=${encodeURIComponent(id)}` : null, 3600);
   const place = asked.data?.data?.observatory;
   return own ?? (place ? { lat: place.lat, lon: place.lon } : null);
 }

@@ -1,5 +1,6 @@
 // The live socket, and what it has sent: a mirror of what the web node receives. Times are this browser's monotonic milliseconds.
 import { signal, useEffect } from "./lib.js";
+import { keepPicture, lastPicture } from "./picture.js";
 import { forgetUser } from "./user.js";
 
 /** `connecting` before the first message, then `live` or `lost`. */
@@ -20,6 +21,10 @@ export const tick = signal(0);
 const SILENT_MS = 3000;
 const RESUMABLE = /^(log|frames)/;
 const KEPT_EVENTS = 600;
+/** A server that takes a connection and says nothing is given up after this. */
+const CONNECTS_MS = 8000;
+const KEEP_EVERY_S = 15;
+const KEPT_TOPICS = 12;
 let sky = null;
 let socket = null;
 let received = 0;
@@ -29,19 +34,46 @@ let pinged = 0;
 let session = "";
 /** Topic -> { users, data: signal, seq }. */
 const topics = new Map();
+/** Topics that were left, newest last, with what they had: pages that a person looked at open without the server, too. */
+const left = new Map();
 
 /** Opens the socket and keeps it open. */
 export function start() {
   connect();
   setInterval(() => {
-    if (link.value === "live" && performance.now() - received > SILENT_MS) lose();
+    if (performance.now() - received > (link.value === "live" ? SILENT_MS : CONNECTS_MS) && socket) lose();
     tick.value += 1;
+    if (tick.value % KEEP_EVERY_S === 2) keep();
     if (tick.value % 10 === 1 && socket?.readyState === WebSocket.OPEN) {
       pinged = performance.now();
       socket.send(JSON.stringify({ op: "ping" }));
     }
   }, 1000);
   addEventListener("online", () => socket === null && connect());
+  document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && keep());
+}
+
+/** Keeps what is shown, for a page that opens without the server. */
+function keep() {
+  if (link.peek() !== "live" || !net.peek().size) return;
+  const now = [...topics].filter(([, entry]) => entry.data.peek() !== null).map(([name, entry]) => [name, entry.data.peek()]);
+  keepPicture({ sky: skyNow(), speed: skySpeed(), version: version.peek(), net: net.peek(), topics: [...left, ...now].slice(-KEPT_TOPICS) });
+}
+
+/** No server has answered since the page was loaded: the last picture is shown, and everything in it is old. */
+async function restore() {
+  const picture = await lastPicture();
+  if (!picture || net.peek().size || link.peek() === "live") return;
+  const moved = (value, name) => (value instanceof Map ? new Map([...value].map(([key, entry]) => [key, { ...entry, [name]: entry[name] + picture.shift }])) : value);
+  for (const [name, data] of picture.topics) {
+    left.set(name, moved(data, name.startsWith("tel/") ? "since" : "received"));
+    if (topics.get(name)?.data.peek() === null) topics.get(name).data.value = left.get(name);
+  }
+  sky = { utc: picture.sky, at: picture.page + picture.shift, speed: picture.speed };
+  version.value = picture.version;
+  lostAt.value = picture.sky;
+  net.value = moved(picture.net, "received");
+  link.value = "lost";
 }
 
 /** Sky time now, ms since 1970, ticking with the server's clock; null before the first message. */
@@ -75,6 +107,9 @@ export function useTopic(name) {
       setTimeout(() => {
         if (entry.users > 0 || topics.get(name) !== entry) return;
         topics.delete(name);
+        left.delete(name);
+        left.set(name, entry.data.peek());
+        if (left.size > KEPT_TOPICS || entry.data.peek() === null) left.delete(entry.data.peek() === null ? name : left.keys().next().value);
         send({ op: "unsub", topics: [name] });
       }, 2000);
     };
@@ -83,7 +118,8 @@ export function useTopic(name) {
 }
 
 function entryOf(name) {
-  if (!topics.has(name)) topics.set(name, { users: 0, data: signal(null), seq: null });
+  // What was left is shown again only as old; a server that answers sends it anew.
+  if (!topics.has(name)) topics.set(name, { users: 0, data: signal(link.peek() === "lost" ? left.get(name) ?? null : null), seq: null });
   return topics.get(name);
 }
 
@@ -133,6 +169,7 @@ function lose() {
   old?.close();
   forgetUser();
   if (link.value === "live") lostAt.value = skyNow();
+  if (!net.peek().size) restore();
   link.value = link.value === "connecting" && tries < 2 ? "connecting" : "lost";
   const wait = Math.min(8000, 500 * 2 ** tries) * (0.7 + 0.6 * Math.random());
   tries += 1;

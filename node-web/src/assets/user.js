@@ -1,5 +1,6 @@
 // Who is signed in; asked again when the link is lost, because the session may be over.
 import { signal } from "./lib.js";
+import { forgetPicture } from "./picture.js";
 
 /** The answer of `/api/v1/me`, or null. */
 export const me = signal(null);
@@ -8,7 +9,10 @@ export const me = signal(null);
 export async function askUser() {
   try {
     const response = await fetch("/api/v1/me");
-    if (response.status === 401) location.reload();
+    if (response.status === 401) {
+      await forgetPicture();
+      location.reload();
+    }
     if (response.ok) me.value = await response.json();
   } catch {
     // The server is away; the page shows that itself.
@@ -21,5 +25,6 @@ export const forgetUser = () => askUser();
 /** Ends the session. */
 export async function leave() {
   await fetch("/api/v1/logout", { method: "POST" });
+  await forgetPicture();
   location.reload();
 }

@@ -22,14 +22,16 @@ macro_rules! assets {
 const ASSETS: &[(&str, &[u8])] = assets! {
     "api.js" "app.js" "astro.js" "chart.js" "close.js" "devices.js" "favicon.svg" "format.js" "history.js"
     "image.js" "lib.js" "live.css" "login.js" "manifest.webmanifest" "night.js" "pages.js" "parts.js"
-    "pixels.js" "plane.js" "route.js" "shell.js" "site.js" "sky.js" "starmesh.css" "store.js" "theme.js"
-    "user.js" "viewer.js" "fonts/LICENSE-Inter.txt" "fonts/LICENSE-JetBrainsMono.txt" "fonts/inter-var.woff2"
+    "picture.js" "pixels.js" "plane.js" "route.js" "service-worker.js" "shell.js" "site.js" "sky.js"
+    "starmesh.css" "store.js" "theme.js" "timeview.js" "user.js" "viewer.js" "fonts/LICENSE-Inter.txt" "fonts/LICENSE-JetBrainsMono.txt" "fonts/inter-var.woff2"
     "fonts/jetbrains-mono.woff2" "pages/alerts.js" "pages/controls.js" "pages/device.js" "pages/focus.js"
     "pages/frame.js" "pages/frames.js" "pages/guiding.js" "pages/lightcurve.js" "pages/log.js"
     "pages/network.js" "pages/nodes.js" "pages/report.js" "pages/schedule.js" "pages/telescope.js"
     "pages/wall.js" "pages/weather.js" "vendor/LICENSES.txt" "vendor/hooks.js" "vendor/htm.js"
     "vendor/preact.js" "vendor/signals-core.js" "vendor/signals.js" "vendor/uplot.js"
 };
+/// What lets the page open without this server.
+const SERVICE_WORKER: &str = "service-worker.js";
 const FAVICON: &[u8] = include_bytes!("../assets/favicon.svg");
 const INDEX: &str = include_str!("../assets/index.html");
 const LOGIN: &str = include_str!("../assets/login.html");
@@ -71,6 +73,10 @@ pub fn login() -> Response {
 /// One asset.
 pub async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Response {
     match ASSETS.iter().find(|(path, _)| *path == name) {
+        // It looks after every address of the page, not only those below its own.
+        Some((path, content)) if *path == SERVICE_WORKER => {
+            ([("service-worker-allowed", "/")], served(&headers, kind_of(path), content)).into_response()
+        }
         Some((path, content)) => served(&headers, kind_of(path), content),
         None => Problem::not_found(format!("There is no asset {name}.")).into_response(),
     }

@@ -3,12 +3,11 @@ import { html, useSignal } from "../lib.js";
 import { command } from "../api.js";
 import { CloseButton, note } from "../close.js";
 import { clock, duration } from "../format.js";
-import { Card, Counts, Dialog, Empty, Priority, PRIORITIES, Segment, priorityNumber } from "../parts.js";
+import { Card, Counts, Dialog, Empty, Priority, PRIORITIES, Segment, isCalm, priorityNumber } from "../parts.js";
 import { link, net, skyNow, tick, useTopic } from "../store.js";
 
 /** Words of an alert's kind: `dome-not-closed/dome` is "Dome not closed". */
 export const kindWords = (id) => { const kind = id.split("/")[0].replaceAll("-", " "); return kind[0].toUpperCase() + kind.slice(1); };
-const isCalm = (alert) => Boolean(alert.returned_utc || alert.acknowledged_by || alert.shelved_until_utc);
 
 function since(utc) {
   const now = skyNow();

@@ -1,6 +1,6 @@
 // Focus: the run that goes on or the last one, with its points and curve; positions by temperature; FWHM of the night's frames.
 import { html, useMemo } from "../lib.js";
-import { useGet } from "../api.js";
+import { useGet, useReport } from "../api.js";
 import { Chart } from "../chart.js";
 import { clock, number, plain } from "../format.js";
 import { Age, Card, Empty, Loaded, Stat, Table } from "../parts.js";
@@ -31,7 +31,7 @@ export function Focus({ id }) {
   const states = useTopic(`tel/${id}/observatory/focus`);
   const entry = states?.get(`${id}/observatory/focus/state`);
   const night = skyNow() && nightOf(skyNow());
-  const report = useGet(night && `/api/v1/telescopes/${id}/nights/${night}/report`, 60);
+  const report = useReport(id, night);
   const frames = useGet(night && `/api/v1/telescopes/${id}/frames?night=${night}&image_type=light&limit=2000`, 60);
   const t1 = useMemo(() => skyNow(), [frames.at]);
   const points = (frames.data?.rows ?? []).map((row) => row.found_frame).filter((frame) => frame?.fwhm_arcsec != null).map((frame) => [Date.parse(frame.at_utc), frame.fwhm_arcsec]);

@@ -1,6 +1,6 @@
 // The light curve of tonight's target against its comparison stars, with FWHM, sky, drift and airmass on one cursor, and the frame of that moment.
 import { html, useSignal } from "../lib.js";
-import { useGet } from "../api.js";
+import { useGet, useReport } from "../api.js";
 import { Chart, broken } from "../chart.js";
 import { clock, number } from "../format.js";
 import { Card, Empty, Loaded, Stat } from "../parts.js";
@@ -46,7 +46,7 @@ function Curve({ id, curve, frames }) {
 
 export function LightCurve({ id }) {
   const night = skyNow() && nightOf(skyNow());
-  const report = useGet(night && `/api/v1/telescopes/${id}/nights/${night}/report`, 60);
+  const report = useReport(id, night);
   const list = useGet(night && `/api/v1/telescopes/${id}/frames?night=${night}&image_type=light&limit=2000`, 60);
   const chosen = useSignal(null);
   const frames = (list.data?.rows ?? []).map((row) => row.found_frame).filter(Boolean);

@@ -3,15 +3,18 @@ import { html, useSignal } from "../lib.js";
 import { CloseButton } from "../close.js";
 import { clock, duration, number } from "../format.js";
 import { arrived, Picture } from "../image.js";
-import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segment, Stat, Table, Words, postureIcon, standing, urgency } from "../parts.js";
+import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segment, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, urgency } from "../parts.js";
 import { bySite, doing, inputWords } from "../shell.js";
 import { ageOf, link, net, quality, skyNow, skySpeed, tick, useTopic } from "../store.js";
 import { devicesOf, known } from "../devices.js";
+import { Nights } from "../night.js";
+import { nightOf } from "./frames.js";
 import { limitsOf } from "./weather.js";
 
 /** What a telescope does, in a title and a sentence. */
 export function activity(summary, now) {
   if (now.stopped) return ["Stopped", now.stopped.text];
+  if (!now.fresh && link.value !== "live") return ["Not known without a link", `Last known: ${summary.now || "nothing under way"}.`];
   if (!now.fresh) return [now.never ? "Nothing received" : "Observatory node silent", [summary.now, ...now.domes].filter(Boolean).join(". ")];
   const [first, ...more] = summary.activity ?? [];
   if (first) return [`${sentence(first.action)} ${first.object ?? ""}`.trim(), [first.step, more.length && `and ${more.length} more`].filter(Boolean).join(", ")];
@@ -37,6 +40,7 @@ function Lede({ telescopes }) {
   const rest = telescopes.filter((one) => urgency(one) > 3);
   const counts = new Map();
   for (const one of rest) { const does = closedFor(one) ? `waiting for ${doing(one, standing(one))}` : doing(one, standing(one)); counts.set(does, (counts.get(does) ?? 0) + 1); }
+  if (link.value === "lost") return html`<p class="lede grow" data-testid="lede"><b>Who needs you is not known: there is no link.</b> What follows is how it was.</p>`;
   return html`<p class="lede grow" data-testid="lede">${now.length ? html`<b>${names(now)} ${now.length > 1 ? "need" : "needs"} you now.</b> ` : html`<b>Nothing needs you.</b> `}${later.length ? `${names(later)} ${later.length > 1 ? "need" : "needs"} you tonight. ` : ""}
     ${[...counts].map(([does, n]) => `${n} ${does}`).join(", ")}${counts.size ? "." : ""}</p>`;
 }
@@ -46,7 +50,7 @@ function Tile({ summary }) {
   const [what, sub] = activity(summary, now);
   const level = urgency(summary, now);
   const image = !(/** @type {any} */ (navigator).connection?.saveData) && arrived(summary);
-  const top = summary.alerts?.[0];
+  const top = summary.alerts?.find((one) => !isCalm(one));
   const figures = summary.figures ?? {};
   const worth = now.fresh ? "fresh" : now.worth;
   return html`<article class=${`tile ${now.fresh && !summary.activity?.length && level > 3 ? "rest" : ""}`} data-level=${level <= 3 ? `p${level}` : null} data-testid="tile" data-telescope=${summary.id} data-safety=${now.safety}
@@ -95,17 +99,29 @@ function Site({ site, telescopes }) {
 }
 
 const COLUMNS = [{ key: "name", name: "Telescope", sort: (one) => one.telescope_id }, { key: "site", name: "Site", cls: "hidep", sort: (one) => one.site_id }, { key: "safety", name: "Safety", sort: (one) => rank(one) }, { key: "dome", name: "Dome", sort: (one) => standing(one).posture },
-  { key: "does", name: "Does" }, { key: "frames", name: "Frames", num: true, cls: "hidep", sort: (one) => one.frames }, { key: "rows", name: "Rows", num: true, cls: "hidep" }, { key: "age", name: "Age", num: true, sort: (one) => standing(one).age }, { key: "alert", name: "Alert" }];
+  { key: "does", name: "Does", sort: (one) => doing(one, standing(one)) }, { key: "target", name: "Target", cls: "hidep", sort: (one) => one.activity?.[0]?.object }, { key: "guide", name: "Guide ″", num: true, cls: "hidep", sort: (one) => one.figures?.guide_rms_arcsec }, { key: "fwhm", name: "FWHM ″", num: true, cls: "hidep", sort: (one) => one.figures?.fwhm_arcsec },
+  { key: "frames", name: "Frames", num: true, cls: "hidep", sort: (one) => one.frames }, { key: "rows", name: "Rows", num: true, cls: "hidep", sort: (one) => one.schedule?.finished }, { key: "age", name: "Age", num: true, sort: (one) => standing(one).age }, { key: "alert", name: "Alert", sort: (one) => urgency(one) }];
 
+/** What calls for somebody; else what somebody has seen already. */
+function Called({ summary, level }) {
+  if (level <= 4) return html`<${Priority} word=${PRIORITIES[level - 1]} />`;
+  const calm = summary.alerts?.find(isCalm);
+  return calm ? html`<${Priority} word=${calm.priority} off text=${calm.shelved_until_utc ? "shelved" : calm.acknowledged_by ? "acknowledged" : "returned"} />` : null;
+}
+
+/** A telescope a line, for tens of them: sorted and filtered, worst first. */
 function All({ telescopes }) {
   const text = useSignal("");
   const shown = telescopes.filter((one) => `${one.id} ${activity(one, standing(one)).join(" ")}`.toLowerCase().includes(text.value.toLowerCase()));
-  return html`<${Card} name="All telescopes" flush end=${html`<label class="in"><${Icon} name="search" /><input type="search" placeholder="Filter" aria-label="Filter telescopes" onInput=${(event) => { text.value = event.target.value; }} /><kbd>/</kbd></label>`}>
-    <${Table} label="All telescopes" columns=${COLUMNS} rows=${shown} keyOf=${(one) => one.id} rowProps=${(one) => ({ "data-quality": standing(one).worth, "data-testid": "row" })} cells=${(one) => {
+  return html`<${Card} name="All telescopes" flush end=${html`${text.value && html`<span class="m">${shown.length} of ${telescopes.length}</span>`}<label class="in"><${Icon} name="search" /><input type="search" placeholder="Filter" aria-label="Filter telescopes" onInput=${(event) => { text.value = event.target.value; }} /><kbd>/</kbd></label>`}>
+    <${Table} label="All telescopes" columns=${COLUMNS} rows=${shown} sorted=${{ key: "safety", up: true }} keyOf=${(one) => one.id} rowProps=${(one) => ({ "data-quality": standing(one).worth, "data-testid": "row", "data-telescope": one.id })} cells=${(one) => {
       const now = standing(one);
       const level = urgency(one, now);
-      return html`<td class="k"><a href=${`/t/${one.id}`}><${Icon} name=${postureIcon(now.posture)} />${one.telescope_id}</a></td><td class="hidep">${one.site_id}</td><td>${now.safety.toUpperCase()}</td><td>${String(now.posture).toUpperCase()}</td><td>${activity(one, now)[0]}</td>
-        <td class="num hidep">${one.frames}</td><td class="num hidep">${one.schedule ? `${one.schedule.finished}/${one.schedule.rows}` : "—"}</td><td class="num"><${Age} s=${now.age} worth=${now.worth} never="never" /></td><td>${level <= 4 && html`<${Priority} word=${PRIORITIES[level - 1]} />`}</td>`;
+      const figure = (value) => (now.fresh && value != null ? number(value, 2) : "—");
+      const [first] = one.activity ?? [];
+      const cells = wordCells(now);
+      return html`<td class="k"><a href=${`/t/${one.id}`}><${Icon} name=${postureIcon(now.posture)} />${one.telescope_id}</a></td><td class="hidep">${one.site_id}</td><td>${cells[0]}</td><td>${cells[1]}</td><td>${now.fresh && !first && now.safety !== "safe" ? `waits for ${doing(one, now)}` : doing(one, now)}</td><td class="hidep">${first?.object ? html`<b>${first.object}</b>` : "—"}</td>
+        <td class="num hidep"><b>${figure(one.figures?.guide_rms_arcsec)}</b></td><td class="num hidep"><b>${figure(one.figures?.fwhm_arcsec)}</b></td><td class="num hidep">${one.frames}</td><td class="num hidep">${one.schedule ? `${one.schedule.finished}/${one.schedule.rows}` : "—"}</td><td class="num"><${Age} s=${now.age} worth=${now.worth} never="never" /></td><td><${Called} summary=${one} level=${level} /></td>`;
     }} /><//>`;
 }
 
@@ -122,5 +138,6 @@ export function Network() {
     <div class="row wrap chips-x">${[["all", "All"], ["need", "Need you"], ["open", "Open"], ["wait", "Waiting"]].map(([kind, word]) => html`<button key=${kind} class="chip" aria-pressed=${String(show.value === kind)} onClick=${() => { show.value = kind; }}>${word} <i>${telescopes.filter(kinds[kind]).length}</i></button>`)}
       <span class="grow"></span><span class="tagline desk">Worst first</span><${Segment} label="View" options=${[["cards", "Cards"], ["compact", "Compact"]]} value=${chosen} onChange=${(value) => { view.value = value; }} /></div>
     <div class="tiles" data-view=${chosen === "compact" ? "compact" : null}>${telescopes.filter(kinds[show.value]).map((one) => html`<${Guard} name=${one.telescope_id} key=${one.id}><${Tile} summary=${one} /><//>`)}</div>
+    ${skyNow() !== null && html`<${Card} name="The night, all telescopes" testid="nights" end=${html`<span class="key">exposed</span><span class="key dash">planned</span><span class="desk">UTC; twilight of each site</span>`}><${Nights} telescopes=${telescopes} now=${skyNow()} night=${nightOf(skyNow())} /><//>`}
     <${All} telescopes=${telescopes} />`;
 }

@@ -1,6 +1,6 @@
 // The report of a night: every second has a cause; targets, quality, alerts and orders.
 import { html } from "../lib.js";
-import { useGet } from "../api.js";
+import { useReport } from "../api.js";
 import { bytes, clock, duration, number, plain } from "../format.js";
 import { Card, Empty, Icon, Loaded, Stat, Table } from "../parts.js";
 import { go, route, withQuery } from "../route.js";
@@ -40,7 +40,7 @@ export function Report({ id }) {
   const { query } = route.value;
   const now = skyNow();
   const night = query.get("night") ?? (now && nightOf(now));
-  const report = useGet(night && `/api/v1/telescopes/${id}/nights/${night}/report`, 120);
+  const report = useReport(id, night);
   const beside = (step) => () => go(withQuery({ night: nightOf(dateOf(night) + step * day + 3600e3) }));
   return html`<div class="page-h"><h2>${night ? `Night of ${nightDay(night)}` : "Night"}</h2><span class="grow"></span><button class="btn sm soft" aria-label="Night before" onClick=${beside(-1)}><${Icon} name="left" /></button><button class="btn sm soft" aria-label="Night after" onClick=${beside(1)}><${Icon} name="chev" /></button>
       <a class="btn sm soft" href=${`/api/v1/telescopes/${id}/nights/${night}/report.html`} target="_blank">To print</a><a class="btn sm soft" href=${`/api/v1/telescopes/${id}/nights/${night}/report`} target="_blank">JSON</a></div>
@@ -48,7 +48,7 @@ export function Report({ id }) {
 }
 
 function Line({ id, night }) {
-  const report = useGet(night && `/api/v1/telescopes/${id}/nights/${night}/report`, 120);
+  const report = useReport(id, night);
   const share = (group) => { const found = report.data?.times.find((one) => one.group === group); return found ? `${number(100 * found.share, 1)} %` : "—"; };
   return html`<tr><td class="k"><a href=${`/t/${id}/report?night=${night}`}>${id}</a></td><td class="wide">${report.data ? html`<${Account} times=${report.data.times} />` : html`<span class="m">${report.error?.message ?? "reading …"}</span>`}</td><td class="num"><b>${share("open_shutter")}</b></td><td class="num">${share("weather")}</td><td class="num">${share("fault")}</td><td class="num">${share("unexplained")}</td><td class="num">${report.data?.disk.frames ?? "—"}</td></tr>`;
 }

@@ -1,16 +1,19 @@
 // One telescope now: what it does, why, until when, what it waits for; its night, its image, its devices.
-import { html } from "../lib.js";
+import { html, useMemo } from "../lib.js";
+import { Chart, broken } from "../chart.js";
 import { devicesOf, exposure, stateWords, values } from "../devices.js";
 import { clock, duration, hourMinute, number, plain } from "../format.js";
 import { arrived, Picture } from "../image.js";
 import { Night } from "../night.js";
 import { nightOf } from "./frames.js";
-import { useGet } from "../api.js";
+import { useGet, useReport } from "../api.js";
 import { SkyMap } from "../sky.js";
 import { useSite } from "../site.js";
 import { useForecast } from "./schedule.js";
 import { Age, Card, Empty, Icon, Priority, Stat, Table, Time, standing } from "../parts.js";
 import { ageOf, quality, skyNow, tick, useTopic } from "../store.js";
+import { inputWords } from "../shell.js";
+import { useCorrections } from "./guiding.js";
 import { activity } from "./network.js";
 import { inputValue } from "./weather.js";
 
@@ -22,6 +25,30 @@ function rowsOf(states, id) {
   return { rows, running: rows.filter((row) => row.status === "running"), next: rows.find((row) => row.status === "pending") };
 }
 
+/** What keeps it closed, or would: `{ what, why, at }` each, with the sky time (ms) at which it can clear at the earliest, or in words until when it holds. */
+function holds(summary, states, id, sky) {
+  const safety = states?.get(`${id}/observatory/safety/state`);
+  const since = safety ? ageOf(safety) : 0;
+  const orders = body(states, `${id}/observatory/operator-orders/state`) ?? {};
+  const lease = body(states, `${id}/observatory/lease/state`);
+  const out = (safety?.body.reasons ?? summary.safety?.reasons ?? []).map((reason) => ({ what: inputWords(reason.input), input: reason.input, why: reason.why, at: reason.clears_in_s == null ? null : sky + Math.max(0, reason.clears_in_s - since) * 1000, until: "nobody knows when" }));
+  if (orders.stay_closed) out.push({ what: "an order", why: `${orders.stay_closed.from} closed it at ${clock(orders.stay_closed.at_utc)}${orders.stay_closed.reason ? `: ${orders.stay_closed.reason}` : ""}`, until: "somebody orders open-again or start" });
+  if (orders.control) out.push({ what: "control", why: `${orders.control.from} took it from the schedule at ${clock(orders.control.at_utc)}${orders.control.reason ? `: ${orders.control.reason}` : ""}`, until: "somebody orders start" });
+  if (summary.mode === "manual") out.push({ what: "robotic mode", why: "it is switched off", until: "somebody orders robotic-on" });
+  if (lease && !lease.holder) out.push({ what: "command", why: "nobody commands it", until: "an observatory node claims it" });
+  for (const [key, entry] of states ?? []) if (key.endsWith("/guard") && entry.body?.hold) out.push({ what: key.split("/")[4], why: "its device node closed it by itself, and opens for nobody", until: "its commander resumes" });
+  const { rows, next } = rowsOf(states, id);
+  const isDue = rows.some((row) => ["running", "interrupted", "pending"].includes(row.status) && Date.parse(row.start_utc) <= sky && Date.parse(row.end_utc) > sky);
+  if (rows.length && !isDue) out.push(next ? { what: "the schedule", why: `no row is due before ${[next.action, next.object].filter(Boolean).join(" ")}`, at: Date.parse(next.start_utc) } : { what: "the schedule", why: "no row is left", until: "another schedule is put in force" });
+  return out;
+}
+
+/** Each reason with the time at which it can clear, the last one first: that is the one that it waits for. */
+function Holds({ list, sky, open }) {
+  const sorted = [...list].sort((a, b) => (b.at ?? Infinity) - (a.at ?? Infinity));
+  return html`<div data-testid="reasons"><div class="tagline">${open ? "Ought to be closed because of" : "Keeps it closed"}</div><ul class="holds">${sorted.map((one) => html`<li key=${one.input ?? one.what}><b title=${one.input ?? null}>${one.what}</b><span>${one.why}</span><span class="m end">${one.at ? html`can clear <b>${clock(one.at)}</b>, <span class="nw">in ${duration((one.at - sky) / 1000)}</span>` : `until ${one.until}`}</span></li>`)}</ul></div>`;
+}
+
 function Doing({ id, summary, states }) {
   const now = standing(summary);
   const [what, sub] = activity(summary, now);
@@ -29,26 +56,32 @@ function Doing({ id, summary, states }) {
   const row = running[0];
   const camera = summary.activity?.[0]?.camera;
   const light = now.fresh && camera ? exposure(states, id, camera) : null;
-  const reasons = now.fresh ? summary.safety?.reasons ?? [] : [];
-  const why = !now.fresh ? "Not known while the observatory node is silent." : row ? `Row ${row.row + 1} of ${rows.length}${row.detail ? `: ${row.detail}` : ""}.` : reasons.length ? `${reasons.length} ${reasons.length > 1 ? "reasons keep" : "reason keeps"} it closed; they are below.` : summary.mode === "robotic" ? "No row may run now." : `It is ${summary.mode}.`;
-  const until = row ? html`<b>${hourMinute(row.end_utc)} UTC</b>, in ${duration((Date.parse(row.end_utc) - (skyNow() ?? Date.parse(row.end_utc))) / 1000)}${row.frames_wanted ? `, ${Math.max(0, row.frames_wanted - row.frames)} frames more` : ""}.` : "—";
-  const waits = reasons.length && summary.safety?.time_to_safe_s != null ? `A safe sky, ${clock((skyNow() ?? 0) + summary.safety.time_to_safe_s * 1000)} UTC at the earliest.` : row ? `Nothing.${next ? ` Next: ${[next.action, next.object].filter(Boolean).join(" ")} at ${hourMinute(next.start_utc)}.` : ""}` : next ? `${next.action} at ${hourMinute(next.start_utc)}.` : "Nothing.";
+  const sky = skyNow() ?? 0;
+  const list = now.fresh && (now.posture !== "open" || now.safety !== "safe") ? holds(summary, states, id, sky) : [];
+  const times = list.map((one) => one.at ?? null);
+  const earliest = times.length && !times.includes(null) ? Math.max(...times) : null;
+  const why = !now.fresh ? "Not known while the observatory node is silent." : row ? `Row ${row.row + 1} of ${rows.length}${row.detail ? `: ${row.detail}` : ""}.` : list.length ? `${list.length} ${list.length > 1 ? "reasons keep" : "reason keeps"} it closed; they are below.` : summary.mode === "robotic" ? "No row may run now." : `It is ${summary.mode}.`;
+  const until = row ? html`<b>${hourMinute(row.end_utc)} UTC</b>, in ${duration((Date.parse(row.end_utc) - (skyNow() ?? Date.parse(row.end_utc))) / 1000)}${row.frames_wanted ? `, ${Math.max(0, row.frames_wanted - row.frames)} frames more` : ""}.` : earliest ? html`<b>${clock(earliest)} UTC</b> at the earliest, in ${duration((earliest - sky) / 1000)}.` : list.length ? "Not known: see below." : "—";
+  const after = rows.find((one) => one.status === "interrupted" && Date.parse(one.end_utc) > sky) ?? next;
+  const then = after ? ` Then ${[after.action, after.object].filter(Boolean).join(" ")}${after.status === "interrupted" ? " goes on" : ` at ${hourMinute(after.start_utc)}`}.` : "";
+  const waits = !now.fresh ? "Not known." : list.length ? `${list.map((one) => one.what).join(", ").replace(/^./, (first) => first.toUpperCase())}.${then}` : row ? `Nothing.${next ? ` Next: ${[next.action, next.object].filter(Boolean).join(" ")} at ${hourMinute(next.start_utc)}.` : ""}` : next ? `${next.action} at ${hourMinute(next.start_utc)}.` : "Nothing.";
   return html`<section class="card stack" aria-label="Now" data-testid="now"><div class="row start wrap"><div class="grow"><div class="tagline">Does</div><div class="row base wrap"><span class="big">${what}</span><span class="m">${sub}</span></div></div>
       ${light && html`<div class="light"><div class="row between"><span class="m">this frame</span><span><b>${number(light.passed, 0)}</b> <span class="m">of ${plain(light.total)} s</span></span></div><div class="bar lg lit"><i style=${{ width: `${(light.part * 100).toFixed(1)}%` }}></i></div></div>`}</div>
     <div class="grid g3"><div><div class="tagline">Why</div><div>${why}</div></div><div><div class="tagline">Until</div><div>${until}</div></div><div><div class="tagline">Waits for</div><div>${waits}</div></div></div>
+    ${list.length > 0 && html`<${Holds} list=${list} sky=${sky} open=${now.posture !== "closed"} />`}
     ${(summary.alerts ?? []).map((alert) => html`<div key=${alert.id} class=${`note p${Math.min(3, ["critical", "high", "medium", "advisory"].indexOf(alert.priority) + 1)}`} data-testid="alert" data-alert=${alert.id}><${Priority} word=${alert.priority} /><div class="grow"><b>${alert.cause}</b> ${alert.consequence} <em>${alert.action}</em>
       <span class="m"> since ${clock(alert.raised_utc)}${alert.acknowledged_by ? `, acknowledged by ${alert.acknowledged_by}` : ""}</span></div></div>`)}
     ${(summary.unreadable ?? []).map((odd) => html`<div key=${odd.key} class="note p2" data-unreadable=${odd.key}><div class="grow"><b>${odd.key} cannot be read.</b> ${odd.why}</div></div>`)}</section>`;
 }
 
-/** Every reason why it is closed, with the time each can clear, and every input of the verdict. */
+/** The verdict with every input; what keeps it closed stands in the first card. */
 function Verdict({ id, summary, states }) {
   const entry = states?.get(`${id}/observatory/safety/state`);
   if (!entry) return html`<${Card} name="Safety"><p class="m">No verdict received yet.</p><//>`;
   const since = ageOf(entry);
-  const { reasons = [], suspended = [], advisories = [], inputs = [], since_utc: at } = entry.body;
+  const { suspended = [], advisories = [], inputs = [], since_utc: at } = entry.body;
   return html`<${Card} name="Safety" flush testid="safety" end=${html`${entry.body.verdict} since <${Time} utc=${at} />`}>
-    ${[["Keeps it closed", reasons], ["No exposures of the sky", suspended], ["Near a limit", advisories]].map(([lead, list]) => list.length > 0 && html`<ul class="reasons" key=${lead} data-testid="reasons"><li class="tagline">${lead}</li>${list.map((reason) =>
+    ${[["No exposures of the sky", suspended], ["Near a limit", advisories]].map(([lead, list]) => list.length > 0 && html`<ul class="reasons" key=${lead}><li class="tagline">${lead}</li>${list.map((reason) =>
       html`<li key=${reason.input}><b>${reason.input}</b> ${reason.why} ${reason.clears_in_s != null && html`<span class="m nw">can clear in ${duration(Math.max(0, reason.clears_in_s - since))}</span>`}</li>`)}</ul>`)}
     <${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: "Age", num: true }]} rows=${inputs} keyOf=${(input) => input.input}
       cells=${(input) => html`<td class="k">${input.input}</td><td>${inputValue(input)}${input.good ? "" : html` <b class="ink-p3">▼ unsafe</b>`}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + since} worth=${quality(since, entry.period_s)} never="never" /></td>`} /><//>`;
@@ -63,7 +96,7 @@ function Image({ summary, states, id }) {
   return html`<${Card} name="Last image" end=${html`<span class="age">${clock(shown.started_utc)}, <${Age} s=${age} worth="fresh" /></span>`}>
     <a href=${`/t/${id}/frames/${encodeURIComponent(shown.frame)}`} class="img" aria-label="Open the last frame"><${Picture} image=${shown} /></a>
     <p class="tagline">${[shown.object ?? shown.image_type, shown.filter ?? "no filter", `${plain(shown.exposure_s)} s`, shown.camera].join(" · ")}</p>
-    <div class="stats"><${Stat} name="FWHM" value=${mine.fwhm_px != null ? number(mine.fwhm_px) : null} unit="px" /><${Stat} name="Stars" value=${mine.stars} /><${Stat} name="Sky" value=${mine.sky_adu != null ? number(mine.sky_adu, 0) : null} unit="ADU" /><${Stat} name="Trailed" value=${mine.trailed == null ? null : mine.trailed ? "yes" : "no"} level=${mine.trailed ? "p3" : null} /></div>
+    <div class="stats four"><${Stat} name="FWHM" value=${mine.fwhm_px != null ? number(mine.fwhm_px) : null} unit="px" /><${Stat} name="Stars" value=${mine.stars} /><${Stat} name="Sky" value=${mine.sky_adu != null ? number(mine.sky_adu, 0) : null} unit="ADU" /><${Stat} name="Trailed" value=${mine.trailed == null ? null : mine.trailed ? "yes" : "no"} level=${mine.trailed ? "p3" : null} /></div>
     ${(mine.reason || shown.problem) && html`<p class="m">${mine.reason ?? shown.problem}</p>`}<//>`;
 }
 
@@ -74,6 +107,37 @@ function Command({ id, states }) {
     ${lease ? html`<p>${lease.body.holder ? html`<b>${lease.body.holder}</b> commands, token ${lease.body.token}, granted by ${lease.body.arbiter}` : "Nobody commands"} · <${Age} s=${ageOf(lease)} worth=${quality(ageOf(lease), lease.period_s)} /></p>` : html`<p class="m">No lease received yet.</p>`}
     ${guards.map(([key, entry]) => html`<p key=${key}><b>${key.split("/")[4]}</b> ${entry.body.may_be_open ? "may be open" : "must be closed"}${entry.body.action === "closing" ? ", closing" : ""}${entry.body.verified_closed ? ", verified closed" : ""}${entry.body.hold ? ", on hold" : ""}
       ${(entry.body.permits ?? []).map((permit) => html`<span class="m" key=${permit.telescope}> · ${permit.telescope} ${permit.safe ? "safe" : "unsafe"}, permit ends in ${number(Math.max(0, permit.left_s - ageOf(entry)), 0)} s</span>`)}${entry.body.permits?.length ? "" : html`<span class="m"> · no permit</span>`} · <${Age} s=${ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} /></p>`)}<//>`;
+}
+
+/** How it guides: error of the last hour, both axes. */
+function GuidingCard({ id, summary, states }) {
+  const entry = states?.get(`${id}/observatory/guiding/state`);
+  const past = useCorrections(id, 1);
+  const axis = (name) => past.corrections.map((one) => [Date.parse(one.mid_utc), one[name]?.error_px ?? null]);
+  const rms = summary.figures?.guide_rms_arcsec;
+  const worth = entry ? quality(ageOf(entry), entry.period_s) : "lost";
+  const shown = worth !== "fresh" ? null : rms != null ? [number(rms, 2), "″"] : Number.isFinite(entry.body.rms_px) && entry.body.active ? [number(entry.body.rms_px, 2), " px"] : null;
+  return html`<${Card} label="Guiding" testid="guiding-card"><header><h2><a href=${`/t/${id}/guiding`}>Guiding</a></h2><span class="end">${shown ? html`<span>RMS <b>${shown[0]}</b>${shown[1]}</span>` : "not guiding"}</span></header>
+    ${past.corrections.length ? html`<${Chart} plain label="Error of guiding, east and north, in the last hour" t0=${past.t1 - 3600e3} t1=${past.t1} now=${past.t1} panels=${[{ name: "", unit: "px", digits: 2, height: 84, limits: [], series: [{ name: "east", points: axis("east"), colour: "--s1", kind: "dots", size: 4 }, { name: "north", points: axis("north"), colour: "--s2", kind: "dots", size: 4 }] }]} />` : html`<p class="m">${entry?.body.detail ? plain(entry.body.detail) : past.error?.message ?? "No frame was guided on in the last hour."}</p>`}<//>`;
+}
+
+/** How sharp it is: FWHM of the newest frames. */
+function FocusCard({ id, summary, states }) {
+  const entry = states?.get(`${id}/observatory/focus/state`);
+  const found = useGet(`/api/v1/telescopes/${id}/frames?image_type=light&limit=150`, 60);
+  const t1 = useMemo(() => skyNow(), [found.at]);
+  const t0 = t1 - 3 * 3600e3;
+  const points = (found.data?.rows ?? []).map((row) => row.found_frame).filter((frame) => frame?.fwhm_arcsec != null && Date.parse(frame.at_utc) > t0).map((frame) => [Date.parse(frame.at_utc), frame.fwhm_arcsec]);
+  const now = summary.figures?.fwhm_arcsec;
+  return html`<${Card} label="Focus" testid="focus-card"><header><h2><a href=${`/t/${id}/focus`}>Focus</a></h2><span class="end"><span>FWHM <b>${now != null && standing(summary).fresh ? number(now, 2) : "—"}</b>″</span></span></header>
+    ${points.length ? html`<${Chart} plain label="FWHM of the frames of the last three hours" t0=${t0} t1=${t1} now=${t1} panels=${[{ name: "", unit: "″", digits: 2, height: 70, zero: true, series: [{ name: "", points: broken(points), colour: "--s4", kind: "dots", size: 4 }] }]} />` : html`<p class="m">${entry?.body.detail ? plain(entry.body.detail) : "No frame of the last three hours is measured."}</p>`}<//>`;
+}
+
+function FramesCard({ id, summary, states }) {
+  const night = skyNow() && nightOf(skyNow());
+  const report = useReport(id, night);
+  const spooled = devicesOf(states).filter((device) => device.kind === "camera").reduce((sum, device) => sum + (Number(device.fields.spooled) || 0), 0);
+  return html`<${Card} label="Frames" testid="frames-card"><header><h2><a href=${`/t/${id}/frames`}>Frames</a></h2><span class="end">night so far</span></header><div class="stats three"><${Stat} name="Taken" value=${report.data?.disk?.frames ?? summary.frames} /><${Stat} name="Refused" value=${report.data ? report.data.refused_frames?.length ?? 0 : null} /><${Stat} name="To archive" value=${spooled} /></div><//>`;
 }
 
 export function Devices({ id, states }) {
@@ -90,10 +154,10 @@ export function Devices({ id, states }) {
 function NightCard({ id, states, site }) {
   const schedule = body(states, `${id}/observatory/schedule/state`);
   const night = skyNow() && nightOf(skyNow());
-  const report = useGet(night && `/api/v1/telescopes/${id}/nights/${night}/report`, 60);
+  const report = useReport(id, night);
   const plan = useForecast(id, schedule?.revision);
   if (!skyNow()) return null;
-  return html`<${Card} name="The night" cls="tl" testid="night" end=${html`<span class="key">exposed</span><span class="key dash">forecast</span><span class="desk">hatched: closed for weather</span>`}><${Night} rows=${schedule?.rows} plan=${plan?.rows} done=${report.data?.timeline} site=${site} now=${skyNow()} /><//>`;
+  return html`<${Card} name="The night" cls="tl" testid="night" end=${html`<span class="key">exposed</span><span class="key dash">forecast</span><span class="desk">hatched: closed for weather</span>`}><${Night} rows=${schedule?.rows} plan=${plan?.rows} report=${report.data} verdicts=${body(states, `${id}/observatory/safety/state`)?.intervals} site=${site} now=${skyNow()} /><//>`;
 }
 
 function Sky({ states, site }) {
@@ -110,6 +174,7 @@ export function Telescope({ id, summary }) {
   if (summary.shared) return html`<${Devices} id=${id} states=${states} />`;
   return html`<${Doing} id=${id} summary=${summary} states=${states} />
     <${NightCard} id=${id} states=${states} site=${site} />
-    <div class="grid g3"><${Image} id=${id} summary=${summary} states=${states} /><${Sky} states=${states} site=${site} /><div class="stack"><${Verdict} id=${id} summary=${summary} states=${states} /><${Command} id=${id} states=${states} /></div></div>
+    <div class="grid g3"><${Image} id=${id} summary=${summary} states=${states} /><${Sky} states=${states} site=${site} /><div class="stack"><${GuidingCard} id=${id} summary=${summary} states=${states} /><${FocusCard} id=${id} summary=${summary} states=${states} /><${FramesCard} id=${id} summary=${summary} states=${states} /></div></div>
+    <div class="grid g-side"><${Verdict} id=${id} summary=${summary} states=${states} /><${Command} id=${id} states=${states} /></div>
     <${Devices} id=${id} states=${states} />`;
 }

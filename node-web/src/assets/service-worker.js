@@ -1,0 +1,62 @@
+// Keeps what the page consists of, and the newest image of each telescope, so that it opens without its server. The network goes first:
+// nothing here is shown in the place of what a server that answers says.
+const worker = /** @type {any} */ (self);
+/** The page's files; the last picture of the telescopes, with their images, is in a store of its own, which ends with the session. */
+const [SHELL, PICTURE] = ["shell", "picture"];
+/** A server that hangs is one that does not answer. */
+const LONGEST_MS = 6000;
+
+/** Every file that the page needs, by following its own references. */
+async function gather() {
+  const shell = await caches.open(SHELL);
+  const paths = new Set(["/"]);
+  for (const path of paths) {
+    const response = await fetch(path, { cache: "no-cache" });
+    if (!response.ok) throw new Error(`${path}: ${response.status}`);
+    await shell.put(path, response.clone());
+    if (!/html|javascript|css/.test(response.headers.get("content-type") ?? "")) continue;
+    const text = await response.text();
+    for (const [, found] of text.matchAll(/(?:from\s*|src=|href=)"(\/assets\/[^"]+|\.[^"]+\.js)"/g)) paths.add(new URL(found, new URL(path, location.origin)).pathname);
+    for (const [, found] of text.matchAll(/url\("?(?!data:)([^")]+)"?\)/g)) paths.add(new URL(found, new URL(path, location.origin)).pathname);
+  }
+}
+
+/** Only one image of a telescope is kept. */
+async function keepImage(request, response) {
+  const picture = await caches.open(PICTURE);
+  for (const older of await picture.keys(request, { ignoreSearch: true })) if (older.url !== request.url) await picture.delete(older);
+  await picture.put(request, response);
+}
+
+async function networkFirst(event, key, keep) {
+  const stored = () => caches.match(key, { ignoreVary: true });
+  const asked = fetch(event.request).then((response) => {
+    // A proxy whose server is away answers, too.
+    if (response.status >= 502) throw new Error(`the server answered ${response.status}`);
+    if (response.ok && !response.redirected) event.waitUntil(keep(response.clone()).catch(() => { /* no room: the page is there all the same */ }));
+    return response;
+  });
+  const late = new Promise((resolve) => { setTimeout(resolve, LONGEST_MS); }).then(stored).then((found) => found ?? asked);
+  try {
+    return await Promise.race([asked, late]);
+  } catch {
+    return (await stored()) ?? Response.error();
+  }
+}
+
+worker.addEventListener("install", (event) => {
+  worker.skipWaiting();
+  event.waitUntil(gather());
+});
+worker.addEventListener("activate", (event) => event.waitUntil(worker.clients.claim()));
+worker.addEventListener("fetch", (event) => {
+  const { request } = event;
+  const { origin, pathname } = new URL(request.url);
+  if (request.method !== "GET" || origin !== location.origin) return;
+  if (/^\/api\/v1\/telescopes\/[^/]+\/[^/]+\/image\.jpg$/.test(pathname)) return void event.respondWith(networkFirst(event, request, (response) => keepImage(request, response)));
+  const isPage = request.mode === "navigate" && !/^\/(api|lite|metrics|problems|healthz|readyz|version)/.test(pathname);
+  if (!isPage && !pathname.startsWith("/assets/")) return;
+  // Each page is the same document. One is kept only from the page itself: the login page and what is not found are no shell.
+  const key = isPage ? "/" : pathname;
+  event.respondWith(networkFirst(event, key, async (response) => (await caches.open(SHELL)).put(key, response)));
+});

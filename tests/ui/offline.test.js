@@ -1,0 +1,72 @@
+// The page without its server: it opens, shows the last picture with everything marked as old, and goes on by itself when the server is back.
+import { test, before, after } from "node:test";
+import assert from "node:assert/strict";
+import { LIMIT, TEST, launch, newPage, settled, startRecorded } from "./browser.js";
+
+let bus, browser, page;
+
+before(async () => {
+  bus = await startRecorded();
+  browser = await launch();
+  page = await newPage(browser, { serviceWorkers: "allow", reducedMotion: "reduce" });
+}, TEST);
+
+after(async () => {
+  await browser?.close();
+  await bus?.end();
+}, TEST);
+
+const ALPHA = '[data-telescope="demo/alpha"]';
+
+test("the page opens without its server, shows the last picture as old, and goes on when the server is back", TEST, async () => {
+  await page.goto(`${bus.url}/t/demo/alpha`);
+  await settled(page);
+  await page.locator('[data-testid="device"]').first().waitFor();
+  await page.goto(bus.url);
+  await page.locator(`${ALPHA}[data-quality="fresh"] img`).waitFor();
+  await page.evaluate(() => navigator.serviceWorker.ready.then(() => true));
+  // A picture of both pages, and the image of the telescope by the service worker.
+  await page.locator('[data-testid="rail-telescope"]').click();
+  await page.locator('[data-testid="device"]').first().waitFor();
+  const isKept = () => page.evaluate(async () => {
+    const found = await caches.match("/picture");
+    const stored = await (await caches.open("picture")).keys();
+    return Boolean(found) && (await found.text()).includes('"tel/demo/alpha"') && stored.some((one) => one.url.includes("image.jpg"));
+  });
+  await page.reload();
+  await page.locator('[data-testid="device"]').first().waitFor();
+  for (const until = Date.now() + LIMIT; !(await isKept());) {
+    assert.ok(Date.now() < until, "no picture was kept");
+    await page.waitForTimeout(500);
+  }
+  const devices = await page.locator('[data-testid="device"]').count();
+
+  await bus.stop();
+  await page.goto(bus.url);
+  await page.locator('body[data-link="lost"] [data-testid="link-lost"]', { hasText: /No link to the server since .*\d\d:\d\d:\d\d/ }).waitFor();
+  const tile = page.locator(`[data-testid="tile"]${ALPHA}`);
+  await tile.waitFor();
+  assert.notEqual(await tile.getAttribute("data-quality"), "fresh");
+  assert.deepEqual(await tile.evaluate(({ dataset }) => [dataset.safety, dataset.posture]), ["unknown", "unknown"], "nothing old is shown as the state now");
+  await tile.locator("img").waitFor();
+  const fresh = () => page.locator('[data-quality="fresh"], [data-safety="safe"], [data-posture="open"]').evaluateAll((all) => all.map((one) => one.outerHTML.slice(0, 200)));
+  assert.deepEqual(await fresh(), []);
+
+  // An address that was not the one that is kept: the same page.
+  await page.goto(`${bus.url}/t/demo/alpha`);
+  await page.locator('body[data-link="lost"]').waitFor();
+  await page.locator('[data-testid="device"]').first().waitFor();
+  assert.equal(await page.locator('[data-testid="device"]').count(), devices, "the devices of the last picture");
+  assert.deepEqual(await fresh(), []);
+
+  await bus.again();
+  await page.locator('body[data-link="live"]').waitFor();
+  await page.locator('[data-testid="device"][data-quality="fresh"]').first().waitFor();
+  assert.equal(await page.locator('[data-testid="link-lost"]').count(), 0);
+});
+
+test("the manifest lets a phone install the page", TEST, async () => {
+  const manifest = await (await fetch(`${bus.url}/assets/manifest.webmanifest`)).json();
+  assert.deepEqual([manifest.start_url, manifest.scope, manifest.display], ["/", "/", "standalone"]);
+  for (const icon of manifest.icons) assert.equal((await fetch(bus.url + icon.src)).status, 200);
+});
