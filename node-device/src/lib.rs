@@ -153,8 +153,12 @@ async fn serve_devices(node: Node, guarded: Option<(GuardLink, NodeOptions)>) ->
     };
     if let Some(spool) = spool {
         spool.settle(std::time::Duration::from_secs(10)).await;
+        tasks.shutdown().await;
+        // What is left is announced again at the next start.
+        let _ = tokio::task::spawn_blocking(move || spool.clear()).await;
+    } else {
+        tasks.shutdown().await;
     }
-    tasks.shutdown().await;
     audit.end().await;
     result
 }

@@ -289,7 +289,18 @@ impl Spool {
 
     /// Removes released frames whose time has run out. Blocks.
     pub fn sweep(&self, now: MachineTime) {
-        let over = |entry: &Entry| entry.released && entry.announced.is_some_and(|at| now.since(at) >= KEEP);
+        self.remove(|entry| entry.announced.is_some_and(|at| now.since(at) >= KEEP));
+    }
+
+    /// Removes all released frames, since nobody can fetch them from a node that ends: no copy of an archived frame stays.
+    /// Blocks.
+    pub fn clear(&self) {
+        self.remove(|_| true);
+    }
+
+    /// Removes the released frames for which this holds.
+    fn remove(&self, holds: impl Fn(&Entry) -> bool) {
+        let over = |entry: &Entry| entry.released && holds(entry);
         let gone: Vec<String> =
             self.entries().iter().filter(|(_, entry)| over(entry)).map(|(name, _)| name.clone()).collect();
         for name in gone {

@@ -57,6 +57,22 @@ fn a_frame_survives_a_restart_and_goes_only_when_it_is_released_and_old() {
 }
 
 #[test]
+fn a_node_that_ends_leaves_no_frame_that_the_archive_has_and_each_that_it_has_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let spool = open(folder.path());
+    for id in ["f1", "f2"] {
+        spool.store(&image(), about(id)).unwrap();
+    }
+    let [first, second] = ["f1", "f2"].map(|id| CommandId(id.to_owned()));
+    spool.announced(&first, at(100));
+    let sha256 = spool.frame(&first).unwrap().sha256;
+    spool.release(&first, &sha256, "archive/alpha/main").unwrap();
+    spool.clear();
+    assert!(!spool.holds(&first) && spool.holds(&second));
+    assert!(!folder.path().join("f1.pixels").exists() && folder.path().join("f2.pixels").exists());
+}
+
+#[test]
 fn what_a_crash_leaves_half_written_is_no_frame() {
     let folder = tempfile::tempdir().unwrap();
     let spool = open(folder.path());
