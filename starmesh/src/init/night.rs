@@ -6,22 +6,8 @@ use sky::{EarthOrientation, Icrs, Place};
 use units::{Angle, Utc};
 
 use super::place::Surroundings;
+use crate::fields::{FIELDS, M_42, NamedField};
 
-/// Fields without a crowd, ICRS degrees: name, right ascension, declination.
-const FIELDS: [(&str, f64, f64); 12] = [
-    ("M 31", 10.68, 41.27),
-    ("NGC 253", 11.89, -25.29),
-    ("WASP-18", 24.35, -45.68),
-    ("Pleiades", 56.75, 24.12),
-    ("WASP-79", 66.37, -30.60),
-    ("HATS-6", 84.39, -19.03),
-    ("Praesepe", 130.10, 19.67),
-    ("WASP-43", 154.91, -9.81),
-    ("M 104", 189.99, -11.62),
-    ("NGC 5460", 211.90, -48.30),
-    ("HAT-P-11", 297.71, 48.08),
-    ("TRAPPIST-1", 346.62, -5.04),
-];
 /// Of the row that is not only an example: from the beginning of the night on.
 const LENGTH_S: f64 = 2.5 * 3600.0;
 /// Left for starting the nodes, s of sky time.
@@ -43,19 +29,20 @@ pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::
         text +=
             "// Where the telescope stands is not known yet, or the Sun does not set there: these rows are comments.\n";
         let start = now.plus_seconds(3600.0);
-        for line in rows(config, camera, ("M 42", 83.82, -5.39), start, start.plus_seconds(LENGTH_S)) {
+        for line in rows(config, camera, &M_42, start, start.plus_seconds(LENGTH_S)) {
             text += &format!("// {line}\n");
         }
         return Ok(text);
     };
     let end = dawn;
     let highest = |start: Utc, end: Utc| {
-        let lowest = |(_, ra, dec): &(&str, f64, f64)| {
-            let field = Icrs::from_degrees(*ra, *dec);
+        let lowest = |field: &NamedField| {
+            let field = Icrs::from_degrees(field.ra_deg, field.dec_deg);
             let lowest = sky::lowest_altitude(&place, &EarthOrientation::default(), &field, start, end);
             lowest.map_or(-90.0, |lowest| lowest.altitude.degrees())
         };
-        FIELDS.iter().copied().max_by(|a, b| lowest(a).total_cmp(&lowest(b))).unwrap_or(("M 42", 83.82, -5.39))
+        let sparse = FIELDS.iter().filter(|field| !field.is_crowded);
+        sparse.max_by(|a, b| lowest(a).total_cmp(&lowest(b))).unwrap_or(&M_42)
     };
     let field = highest(dusk, dusk.plus_seconds(LENGTH_S).min(end));
     for line in rows(config, camera, field, dusk, end) {
@@ -66,7 +53,7 @@ pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::
 }
 
 /// The rows of a night from dusk to dawn, each with its purpose.
-fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dusk: Utc, dawn: Utc) -> Vec<String> {
+fn rows(config: &config::Observatory, camera: &str, field: &NamedField, dusk: Utc, dawn: Utc) -> Vec<String> {
     let mut lines = Vec::new();
     let mut row = |about: &str, action: &str, value: Value, start: Utc, end: Utc| {
         let row = json!({
@@ -77,7 +64,7 @@ fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dus
         lines.push(row.to_string());
     };
     let has = |kind: Kind| config.devices().iter().any(|(known, _)| *known == kind);
-    let (name, ra_deg, dec_deg) = field;
+    let NamedField { name, ra_deg, dec_deg, .. } = *field;
     let later = |seconds: f64| dusk.plus_seconds(seconds);
     // The field was chosen for its altitude in this time; later it may set.
     let observed = later(LENGTH_S).min(dawn);
