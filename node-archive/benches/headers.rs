@@ -96,7 +96,13 @@ async fn main() {
     for index in 0..FRAMES {
         let frame = frame(index, start);
         let path = folder.path().join(format!("{index}.fits"));
-        let known = HeaderFacts { frame: &frame, place: &config.place, written: start, newest: &|_, _| None };
+        let known = HeaderFacts {
+            frame: &frame,
+            place: &config.place,
+            written: start,
+            sensor: Default::default(),
+            newest: &|_, _| None,
+        };
         let mut file = FitsFile::create(&path, &SHAPE).unwrap();
         for card in base(&table, &known) {
             file.set(&card).unwrap();

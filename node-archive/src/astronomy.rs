@@ -62,6 +62,7 @@ impl Exposure {
             "BJD-OBS" => CardValue::Float(sum(self.observer.barycentric_jd_tdb(&self.target?))),
             "HA" => CardValue::Text(hours_minutes_seconds(self.observer.hour_angle(&self.target?).hours())),
             "AIRMASS" => CardValue::Float(sky::airmass(Angle::from_degrees(self.direction()?.0))?),
+            "BJD_TDB" => CardValue::Float(sum(self.middle.barycentric_jd_tdb(&self.target?))),
             "DATE-AVG" => CardValue::Text(fits_date(self.middle.at())),
             "MJD-AVG" => CardValue::Float(self.middle.at().mjd()),
             "AIRMMID" => CardValue::Float(sky::airmass(self.middle.to_horizontal(&self.target?).altitude)?),
@@ -76,9 +77,20 @@ impl Exposure {
 }
 
 /// Keywords that [`Exposure::keyword`] knows.
-pub const KEYWORDS: [&str; 17] = [
+pub const KEYWORDS: [&str; 18] = [
     "JD-OBS", "JD-END", "MJD-OBS", "MJD-END", "DATE-END", "LST", "HJD-OBS", "BJD-OBS", "HA", "AIRMASS", "DATE-AVG",
-    "MJD-AVG", "AIRMMID", "SUNALT", "MOONALT", "MOONDIST", "MOONFRAC",
+    "MJD-AVG", "AIRMMID", "SUNALT", "MOONALT", "MOONDIST", "MOONFRAC", "BJD_TDB",
+];
+
+/// Those of them that need a direction: a frame with a closed shutter has none of them.
+pub const OF_DIRECTION: [&str; 7] = ["HJD-OBS", "BJD-OBS", "HA", "AIRMASS", "AIRMMID", "MOONDIST", "BJD_TDB"];
+
+/// The middle of the exposure, which is in every header, whatever the table lists, with the comments.
+pub const MIDDLE: [(&str, &str); 4] = [
+    ("DATE-AVG", "UTC at mid-exposure"),
+    ("MJD-AVG", "[d] modified Julian date at mid-exposure"),
+    ("BJD_TDB", "[d] barycentric Julian date at mid-exposure"),
+    ("AIRMMID", "airmass at mid-exposure"),
 ];
 
 /// A date as headers have it, to the microsecond: `2026-11-21T03:00:00.123456`.

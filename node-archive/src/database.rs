@@ -2,6 +2,8 @@
 
 mod backup;
 mod damage;
+#[cfg(test)]
+mod described;
 mod guiding;
 mod happenings;
 mod make;
@@ -11,6 +13,7 @@ mod rows;
 mod stamp;
 mod streams;
 mod telemetry;
+mod views;
 mod whole_file;
 mod write;
 

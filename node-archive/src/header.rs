@@ -9,7 +9,7 @@
 use std::collections::BTreeSet;
 
 use config::header::{Dtype, HeaderRow, HeaderTable, Source};
-use contract::device::camera::Frame;
+use contract::device::camera::{Frame, Pixel};
 use contract::device::telescope::EquatorialSystem;
 use contract::{Kind, Scalar};
 use sky::{Icrs, SkyError};
@@ -39,6 +39,10 @@ fn is_left_to_fits(keyword: &str) -> bool {
     LEFT_TO_FITS.contains(&keyword) || fits::restore::is_about_tiles(keyword)
 }
 
+/// The ellipsoid of IAU 1976, which FITS has for OBSGEO-H (Rots et al. 2015, A&A 574, A36, section 4.1.3), is so much larger than
+/// that of WGS 84, m.
+const LOWER_M: f64 = 3.0;
+
 /// All that is known when a file is made.
 pub struct HeaderFacts<'a> {
     /// The frame.
@@ -47,14 +51,39 @@ pub struct HeaderFacts<'a> {
     pub place: &'a config::Place,
     /// Sky time of writing.
     pub written: Utc,
+    /// What the configuration says of the sensor.
+    pub sensor: Sensor,
     /// Newest value of a property of the camera or of a device paired with it.
     pub newest: &'a dyn Fn(Kind, &str) -> Option<Scalar>,
+}
+
+/// What the configuration says of a sensor, before what its driver reports.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Sensor {
+    /// Electrons of one ADU.
+    pub electrons_per_adu: Option<f64>,
+    /// Read noise, electrons.
+    pub read_noise_e: Option<f64>,
+    /// A pixel of this value or above is saturated, ADU.
+    pub saturation_adu: Option<f64>,
+}
+
+impl Sensor {
+    /// What a configuration says of the camera of this name.
+    pub fn of(config: &config::Observatory, camera: &str) -> Self {
+        let block = config.camera.iter().find(|block| block.common.name.as_str() == camera);
+        block.map_or_else(Self::default, |block| Self {
+            electrons_per_adu: block.electrons_per_adu,
+            read_noise_e: block.read_noise_e,
+            saturation_adu: block.saturation_adu,
+        })
+    }
 }
 
 type Compute = fn(&HeaderFacts<'_>) -> Option<CardValue>;
 
 /// Keywords that Starmesh knows when a file is made, with the comment for a table that does not list them.
-const COMPUTED: [(&str, Compute, &str); 22] = [
+const COMPUTED: [(&str, Compute, &str); 34] = [
     ("DATE-OBS", |k| Some(CardValue::Text(fits_date(k.frame.started_utc))), "UTC at start of exposure"),
     ("DATE", |k| Some(CardValue::Text(fits_date(k.written))), "UTC when the file was written"),
     ("EXPTIME", |k| Some(CardValue::Float(k.frame.exposure_s)), "[s] exposure time"),
@@ -69,9 +98,21 @@ const COMPUTED: [(&str, Compute, &str); 22] = [
     ("RADESYS", |_| Some("ICRS".into()), "frame of RA and DEC"),
     ("XPIXSZ", |k| Some(CardValue::Float(k.number(Kind::Camera, "PixelSizeX")? * f64::from(k.frame.bin))), ""),
     ("YPIXSZ", |k| Some(CardValue::Float(k.number(Kind::Camera, "PixelSizeY")? * f64::from(k.frame.bin))), ""),
-    ("APTAREA", |k| Some(CardValue::Float(k.number(Kind::Telescope, "ApertureArea")?)), ""),
-    ("APTDIA", |k| Some(CardValue::Float(k.number(Kind::Telescope, "ApertureDiameter")?)), ""),
-    ("FOCALLEN", |k| Some(CardValue::Float(k.number(Kind::Telescope, "FocalLength")?)), ""),
+    ("APTAREA", |k| Some(CardValue::Float(k.positive(Kind::Telescope, "ApertureArea")?)), ""),
+    ("APTDIA", |k| Some(CardValue::Float(k.positive(Kind::Telescope, "ApertureDiameter")?)), ""),
+    ("FOCALLEN", |k| Some(CardValue::Float(k.positive(Kind::Telescope, "FocalLength")?)), ""),
+    ("GAIN", |k| k.gain().map(CardValue::Float), "electrons per adu"),
+    ("EGAIN", |k| k.gain().map(CardValue::Float), "electrons per adu"),
+    ("RDNOISE", |k| k.sensor.read_noise_e.map(CardValue::Float), "read noise, electrons rms"),
+    ("SATURATE", |k| k.saturation().map(CardValue::Float), "[adu] pixels from here on are saturated"),
+    ("ROWORDER", |_| Some("TOP-DOWN".into()), "the first row of the file is the top one"),
+    ("SWCREATE", |_| Some(PROGRAM.into()), "program and version"),
+    ("OBSGEO-L", |k| Some(CardValue::Float(k.place.longitude_deg)), "[deg] longitude of the site, east positive"),
+    ("OBSGEO-B", |k| Some(CardValue::Float(k.place.latitude_deg)), "[deg] latitude of the site, north positive"),
+    ("OBSGEO-H", |k| Some(CardValue::Float(k.place.elevation_m - LOWER_M)), "[m] above the ellipsoid of IAU 1976"),
+    ("OBSGEO-X", |k| k.geocentric(0), "[m] geocentric place of the site, ITRS"),
+    ("OBSGEO-Y", |k| k.geocentric(1), "[m] geocentric place of the site, ITRS"),
+    ("OBSGEO-Z", |k| k.geocentric(2), "[m] geocentric place of the site, ITRS"),
     ("INSTRUME", |k| Some(k.frame.camera.as_str().into()), ""),
     ("OBSERVAT", |k| Some(k.place.site.as_str().into()), "site"),
     ("NIGHT", |k| night(k.frame).map(CardValue::from), "date of the evening of the night"),
@@ -86,11 +127,54 @@ const ALWAYS: [&str; 12] = [
 ];
 
 /// The keywords of [`COMPUTED`] that every file has, unless the table gives them another value. Archives ask for them.
-const UNLESS_GIVEN: [&str; 3] = ["OBSERVAT", "NIGHT", "SCHEDROW"];
+const UNLESS_GIVEN: [&str; 8] = ["OBSERVAT", "NIGHT", "SCHEDROW", "GAIN", "EGAIN", "RDNOISE", "SATURATE", "ROWORDER"];
+
+/// What photometry needs of the sensor, and what gives it where the driver does not: the history names what is missing.
+const OF_SENSOR: [(&str, &str); 3] =
+    [("GAIN", "electrons_per_adu"), ("RDNOISE", "read_noise_e"), ("SATURATE", "saturation_adu")];
+
+/// Says which values of the sensor a header does not have, and what gives them.
+pub fn unknown_of_sensor(present: &BTreeSet<String>) -> Vec<String> {
+    let is_missing = |(keyword, _): &&(&str, &str)| !present.contains(*keyword);
+    let line = |(keyword, key): &(&str, &str)| format!("{keyword} not known: give {key} of the camera's block");
+    OF_SENSOR.iter().filter(is_missing).map(line).collect()
+}
 
 impl HeaderFacts<'_> {
     fn number(&self, kind: Kind, property: &str) -> Option<f64> {
         (self.newest)(kind, property)?.number().filter(|number| number.is_finite())
+    }
+
+    /// A number that is none where a driver reports 0 for what it does not know.
+    fn positive(&self, kind: Kind, property: &str) -> Option<f64> {
+        self.number(kind, property).filter(|number| *number > 0.0)
+    }
+
+    fn gain(&self) -> Option<f64> {
+        self.sensor.electrons_per_adu.or_else(|| self.positive(Kind::Camera, "ElectronsPerADU"))
+    }
+
+    /// No pixel of a file is above what its numbers can hold.
+    fn saturation(&self) -> Option<f64> {
+        let most_adu = self.sensor.saturation_adu.or_else(|| self.positive(Kind::Camera, "MaxADU"))?;
+        Some(match self.frame.pixel {
+            Pixel::U16 => most_adu.min(f64::from(u16::MAX)),
+            _ => most_adu,
+        })
+    }
+
+    /// A coordinate of the site in the Earth's frame, m, with the ellipsoid WGS 84.
+    fn geocentric(&self, axis: usize) -> Option<CardValue> {
+        const RADIUS_M: f64 = 6_378_137.0;
+        const FLATTENING: f64 = 1.0 / 298.257_223_563;
+        let [latitude, longitude] = [self.place.latitude_deg, self.place.longitude_deg].map(f64::to_radians);
+        let squeezed = (1.0 - FLATTENING).powi(2);
+        let normal_m = RADIUS_M / (latitude.cos().powi(2) + squeezed * latitude.sin().powi(2)).sqrt();
+        let across_m = (normal_m + self.place.elevation_m) * latitude.cos();
+        let along_m = (squeezed * normal_m + self.place.elevation_m) * latitude.sin();
+        let place_m = [across_m * longitude.cos(), across_m * longitude.sin(), along_m];
+        // Sites are known to the centimetre at best.
+        place_m.get(axis).map(|m| CardValue::Float((m * 100.0).round() / 100.0))
     }
 }
 
@@ -98,6 +182,12 @@ impl HeaderFacts<'_> {
 fn target(frame: &Frame) -> Option<Icrs> {
     let (ra, dec) = (frame.purpose.ra_deg?, frame.purpose.dec_deg?);
     Icrs::from_degrees(ra, dec).checked().ok()
+}
+
+/// Whether the shutter was closed during the exposure.
+fn is_dark(frame: &Frame) -> bool {
+    let kind = frame.purpose.image_type.to_ascii_lowercase();
+    kind.starts_with("bias") || kind.starts_with("dark")
 }
 
 /// The night that the frame was taken in, `YYYYMMDD`.
@@ -164,8 +254,14 @@ pub fn base(table: &HeaderTable, known: &HeaderFacts<'_>) -> Vec<Card> {
             }
         }
     }
+    // A table may take one of them from a property that is filled in later, such as GAIN from the camera's setting.
+    let is_elsewhere = |keyword: &str| {
+        let is_own = |row: &HeaderRow| row.keyword == keyword && matches!(row.source, Source::Property(..));
+        table.rows.iter().any(is_own)
+    };
     for (keyword, compute, comment) in COMPUTED.iter().filter(|(keyword, ..)| UNLESS_GIVEN.contains(keyword)) {
         if let Some(value) = compute(known)
+            && !is_elsewhere(keyword)
             && !cards.iter().any(|card| card.keyword == *keyword)
         {
             cards.push(Card::new(keyword, value, comment));
@@ -179,21 +275,21 @@ fn base_value(row: &HeaderRow, known: &HeaderFacts<'_>) -> Option<CardValue> {
     let compute = || COMPUTED.iter().find(|(name, ..)| *name == keyword).and_then(|(_, compute, _)| compute(known));
     match &row.source {
         // Known even where the table has it filled in later: dates, and a target's place.
-        Source::Computed => compute(),
+        Source::Computed => Some(in_unit(row, compute()?)),
         Source::Property(Kind::Telescope, _) if matches!(keyword, "RA" | "DEC") => compute(),
         // Computed keywords use the configured site, so the header contains the configured site.
         Source::Property(Kind::Telescope, property) if row.fixed && site(known.place, property).is_some() => {
             site(known.place, property).map(CardValue::Float)
         }
         Source::Property(kind, property) if row.fixed => {
-            (known.newest)(*kind, property).map(|value| typed(row.dtype, &value))
+            (known.newest)(*kind, property).map(|value| typed(row, &value))
         }
         Source::Static(text) if text.is_empty() => match keyword {
             "TELESCOP" => Some(known.place.telescope.as_str().into()),
             "INSTRUME" => compute(),
             _ => None,
         },
-        Source::Static(text) => literal(row.dtype, text),
+        Source::Static(text) => literal(row.dtype, &with_names(text, known)),
         Source::Metadata(key) => {
             let text = known.frame.purpose.metadata.get(key)?;
             let value = literal(row.dtype, text);
@@ -204,6 +300,27 @@ fn base_value(row: &HeaderRow, known: &HeaderFacts<'_>) -> Option<CardValue> {
         }
         Source::Library | Source::Property(..) => None,
     }
+}
+
+/// Lengths are in the unit that the comment of their row names: drivers report metres, and many programs read mm.
+fn in_unit(row: &HeaderRow, value: CardValue) -> CardValue {
+    let factor = match row.keyword.as_str() {
+        "FOCALLEN" | "APTDIA" if row.comment.starts_with("[mm]") => 1e3,
+        "APTAREA" if row.comment.starts_with("[mm2]") => 1e6,
+        _ => return value,
+    };
+    match value {
+        // Whole nanometres: a factor leaves long tails.
+        CardValue::Float(number) => CardValue::Float((number * factor * 1e6).round() / 1e6),
+        other => other,
+    }
+}
+
+/// A text of the table with the names of site, telescope and camera in the places for them.
+fn with_names(text: &str, known: &HeaderFacts<'_>) -> String {
+    text.replace("{site}", known.place.site.as_str())
+        .replace("{telescope}", known.place.telescope.as_str())
+        .replace("{camera}", &known.frame.camera)
 }
 
 fn site(place: &config::Place, property: &str) -> Option<f64> {
@@ -229,9 +346,30 @@ fn literal(dtype: Dtype, text: &str) -> Option<CardValue> {
     }
 }
 
+/// The words of ASCOM's numbers, for a row of the table that asks for a text.
+fn words(kind: Kind, property: &str) -> &'static [&'static str] {
+    match (kind, property) {
+        (Kind::Telescope, "SideOfPier" | "DestinationSideOfPier") => &["East", "West"],
+        (Kind::Dome, "ShutterStatus") => &["open", "closed", "opening", "closing", "error"],
+        (Kind::Camera, "CameraState") => &["idle", "waiting", "exposing", "reading", "download", "error"],
+        (Kind::Camera, "SensorType") => &["monochrome", "color", "RGGB", "CMYG", "CMYG2", "LRGB"],
+        (Kind::CoverCalibrator, "CoverState") => &["none", "closed", "moving", "open", "unknown", "error"],
+        _ => &[],
+    }
+}
+
 /// A device's value as the type that the table asks for, where it can be that; else as it is.
-fn typed(dtype: Dtype, value: &Scalar) -> CardValue {
-    match (dtype, value.number()) {
+fn typed(row: &HeaderRow, value: &Scalar) -> CardValue {
+    if let (Dtype::Str, Source::Property(kind, property), Some(number)) = (row.dtype, &row.source, value.number()) {
+        let words = words(*kind, property);
+        let word = (number.fract() == 0.0 && number >= 0.0).then(|| words.get(number as usize)).flatten();
+        // Those of no word are ASCOM's -1, "unknown".
+        return match (words.is_empty(), word) {
+            (true, _) => CardValue::Text(value.to_string()),
+            (false, word) => CardValue::Text(word.copied().unwrap_or("unknown").to_owned()),
+        };
+    }
+    match (row.dtype, value.number()) {
         (Dtype::Float, Some(number)) => CardValue::Float(number),
         (Dtype::Int, Some(number)) => CardValue::Int(number.round() as i64),
         (Dtype::Bool, Some(number)) => CardValue::Logical(number != 0.0),
@@ -285,7 +423,10 @@ pub fn completion(table: &HeaderTable, later: &Later<'_>) -> Result<Plan, SkyErr
     }
     let mut plan = Plan::default();
     let mut missing = Vec::new();
-    let rows = table.rows.iter().filter(|row| !is_left_to_fits(&row.keyword));
+    // A frame with a closed shutter has no direction, whatever the mount reports.
+    let is_dark = is_dark(frame);
+    let has_none = |keyword: &str| is_dark && astronomy::OF_DIRECTION.contains(&keyword);
+    let rows = table.rows.iter().filter(|row| !is_left_to_fits(&row.keyword) && !has_none(&row.keyword));
     for row in rows {
         let keyword = row.keyword.as_str();
         let value = match &row.source {
@@ -299,6 +440,10 @@ pub fn completion(table: &HeaderTable, later: &Later<'_>) -> Result<Plan, SkyErr
             Source::Property(..) if row.fixed && later.present.contains(keyword) => continue,
             Source::Property(kind, property) => {
                 let Some(around) = (later.around)(*kind, property) else { continue };
+                if around.before.is_none() && around.after.is_none() && around.received_since {
+                    // The device was there and has no such sensor.
+                    continue;
+                }
                 later.polled(row, *kind, property, &around)
             }
             Source::Computed if astronomy::KEYWORDS.contains(&keyword) => {
@@ -317,7 +462,18 @@ pub fn completion(table: &HeaderTable, later: &Later<'_>) -> Result<Plan, SkyErr
             _ => missing.push(keyword),
         }
     }
-    if has_target && let Some((altitude, azimuth)) = exposure.direction() {
+    for (keyword, comment) in astronomy::MIDDLE {
+        if !has_none(keyword)
+            && !table.rows.iter().any(|row| row.keyword == keyword)
+            && let Some(value) = exposure.keyword(keyword)
+        {
+            plan.cards.push(Card::new(keyword, value, comment));
+        }
+    }
+    if has_target
+        && !is_dark
+        && let Some((altitude, azimuth)) = exposure.direction()
+    {
         let what = "of target at start, unrefracted";
         plan.cards.push(Card::new("OBJALT", CardValue::Float(altitude), &format!("[deg] altitude {what}")));
         plan.cards.push(Card::new("OBJAZ", CardValue::Float(azimuth), &format!("[deg] azimuth {what}")));
@@ -337,11 +493,11 @@ impl Later<'_> {
         if row.fixed {
             // It does not change, so any poll will do.
             let sample = around.before.as_ref().or(around.after.as_ref())?;
-            return Some(typed(row.dtype, &sample.value));
+            return Some(typed(row, &sample.value));
         }
         let value = self.interpolated(kind, property, row.dtype, around)?;
         let is_hours = (kind, property) == (Kind::Telescope, "RightAscension");
-        Some(match (typed(row.dtype, &value), is_hours) {
+        Some(match (typed(row, &value), is_hours) {
             (CardValue::Float(hours), true) => CardValue::Float(Angle::from_hours(hours).degrees()),
             (value, _) => value,
         })

@@ -7,7 +7,7 @@ use config::header::{Dtype, HeaderRow, HeaderTable, Source};
 use fits::profile;
 
 use crate::quality::GUIDED;
-use crate::{header, quality, solution};
+use crate::{astronomy, header, quality, solution};
 
 /// The generated part of docs/fits.md.
 ///
@@ -33,6 +33,9 @@ pub fn page() -> Result<String, profile::ProfileError> {
     page.push_str("\n### Of every file, whatever its table lists\n\n| keyword | source | meaning |\n|---|---|---|\n");
     for (keyword, comment) in header::of_every_file() {
         let _ = writeln!(page, "| `{keyword}` | known when the file is written | {comment} |");
+    }
+    for (keyword, comment) in astronomy::MIDDLE {
+        let _ = writeln!(page, "| `{keyword}` | computed | {comment} |");
     }
     for (keyword, comment) in quality::all() {
         let _ = writeln!(page, "| `{keyword}` | measured on the frame | {comment} |");

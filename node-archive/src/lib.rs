@@ -89,6 +89,10 @@ mod streams;
 pub mod telemetry;
 mod turns;
 
+#[cfg(test)]
+#[path = "../../common/contract/tests/shown/mod.rs"]
+mod document;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicI64;
@@ -109,7 +113,8 @@ use crate::telemetry::Newest;
 /// Runs the archive of one telescope until the node is stopped.
 pub async fn run(node: Node) -> anyhow::Result<()> {
     let config = node.config.clone();
-    let (namer, wrong) = Namer::with_faults(&config.archive.filename, config.place.longitude_deg);
+    let (namer, wrong) =
+        Namer::with_faults(&config.archive.filename, config.archive.profile, config.place.longitude_deg);
     for fault in wrong {
         // Frames under another name are better than no frames.
         let (key, why) =

@@ -9,26 +9,59 @@ mod jinja;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use config::FileProfile;
 use contract::device::camera::Frame;
 use sky::NightDate;
 use units::{Angle, Utc};
 
-/// Action types that may have a template of their own, and the templates of those who have none.
-const DEFAULTS: [(&str, &str); 7] = [
-    ("object", "{action_date}/{device}_{filter_name}_{object_name}_{exptime:.3f}_{timestamp}.fits"),
-    ("calibration", "{action_date}/{device}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
-    ("flats", "{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
-    ("autofocus", "autofocus/{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
+/// Action types that may have a template of their own, and the templates of those who have none: the predecessor's, and
+/// ours. Ours are plain words, without blanks and dots, and begin with the start of the exposure: sorted by name they are
+/// sorted by time, and archives take what is behind the only dot for the type of the file.
+const DEFAULTS: [(&str, &str, &str); 7] = [
+    (
+        "object",
+        "{action_date}/{device}_{filter_name}_{object_name}_{exptime:.3f}_{timestamp}.fits",
+        "{action_date}/{start}_{camera}_{imagetype}_{object}_{filter}_{exposure}.fits",
+    ),
+    (
+        "calibration",
+        "{action_date}/{device}_{imagetype}_{exptime:.3f}_{timestamp}.fits",
+        "{action_date}/{start}_{camera}_{imagetype}_{exposure}.fits",
+    ),
+    (
+        "flats",
+        "{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits",
+        "{action_date}/{start}_{camera}_{imagetype}_{filter}_{exposure}.fits",
+    ),
+    (
+        "autofocus",
+        "autofocus/{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits",
+        "autofocus/{action_date}/{start}_{camera}_{imagetype}_{filter}_{exposure}.fits",
+    ),
     (
         "calibrate_guiding",
         "calibrate_guiding/{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits",
+        "calibrate_guiding/{action_date}/{start}_{camera}_{imagetype}_{filter}_{exposure}.fits",
     ),
     (
         "pointing_model",
         "pointing_model/{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits",
+        "pointing_model/{action_date}/{start}_{camera}_{imagetype}_{filter}_{exposure}.fits",
     ),
-    ("default", "{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
+    (
+        "default",
+        "{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits",
+        "{action_date}/{start}_{camera}_{imagetype}_{object}_{filter}_{exposure}.fits",
+    ),
 ];
+
+/// The default templates of a profile.
+fn defaults(profile: FileProfile) -> impl Iterator<Item = (&'static str, &'static str)> {
+    DEFAULTS.iter().map(move |(action, astra, plain)| match profile {
+        FileProfile::Astra => (*action, *astra),
+        FileProfile::Plain => (*action, *plain),
+    })
+}
 
 /// What the name of a file with compressed tiles ends with, behind its other ending.
 pub const COMPRESSED: &str = ".fz";
@@ -69,6 +102,7 @@ type Values = BTreeMap<&'static str, TemplateValue>;
 pub struct Namer {
     /// Template and whether it is Jinja, by action type.
     templates: BTreeMap<String, (String, bool)>,
+    profile: FileProfile,
     longitude_east: Angle,
 }
 
@@ -77,27 +111,31 @@ impl Namer {
     ///
     /// # Errors
     /// The first template that cannot be used.
-    pub fn new(own: &BTreeMap<String, String>, longitude_deg: f64) -> Result<Self, NameError> {
-        let (namer, mut faults) = Self::with_faults(own, longitude_deg);
+    pub fn new(own: &BTreeMap<String, String>, profile: FileProfile, longitude_deg: f64) -> Result<Self, NameError> {
+        let (namer, mut faults) = Self::with_faults(own, profile, longitude_deg);
         if faults.is_empty() { Ok(namer) } else { Err(faults.swap_remove(0)) }
     }
 
     /// As [`Namer::new`], with the default in the place of each template that cannot be used, and what is wrong with
     /// those.
-    pub fn with_faults(own: &BTreeMap<String, String>, longitude_deg: f64) -> (Self, Vec<NameError>) {
+    pub fn with_faults(
+        own: &BTreeMap<String, String>,
+        profile: FileProfile,
+        longitude_deg: f64,
+    ) -> (Self, Vec<NameError>) {
         // One Jinja template makes all of a site's own Jinja, as the predecessor reads them.
         let is_jinja = own.values().any(|template| template.contains("{{") && template.contains("}}"));
         let mut templates: BTreeMap<String, (String, bool)> =
-            DEFAULTS.iter().map(|(action, template)| ((*action).to_owned(), ((*template).to_owned(), false))).collect();
+            defaults(profile).map(|(action, template)| (action.to_owned(), (template.to_owned(), false))).collect();
         for (action, template) in own {
             match templates.get_mut(action) {
                 Some(place) => *place = (template.clone(), is_jinja),
                 None => tracing::warn!(action, "archive.filename: no frames are named by this; it is not used"),
             }
         }
-        let mut namer = Self { templates, longitude_east: Angle::from_degrees(longitude_deg) };
+        let mut namer = Self { templates, profile, longitude_east: Angle::from_degrees(longitude_deg) };
         let mut faults = Vec::new();
-        for (action, default) in DEFAULTS {
+        for (action, default) in defaults(profile) {
             if let Err(fault) = namer.render(action, &trial()) {
                 let before = namer.templates.insert(action.to_owned(), (default.to_owned(), false));
                 let template = before.map(|(template, _)| template).unwrap_or_default();
@@ -113,7 +151,7 @@ impl Namer {
         let values = self.values(frame, written);
         let rendered = self.render(action, &values).unwrap_or_else(|fault| {
             tracing::warn!(%fault, action, "the file name template failed; the default is used");
-            let (_, template) = DEFAULTS[DEFAULTS.len() - 1];
+            let template = defaults(self.profile).last().map_or("", |(_, template)| template);
             plain(template, &values).unwrap_or_else(|_| format!("{}.fits", frame.id))
         });
         let mut path = folder(frame.purpose.folder.as_deref());
@@ -158,6 +196,7 @@ impl Namer {
             exposure_s: frame.exposure_s,
             sequence: purpose.sequence,
             night,
+            started: frame.started_utc,
             written,
         })
     }
@@ -172,6 +211,7 @@ struct Fields {
     exposure_s: f64,
     sequence: u32,
     night: NightDate,
+    started: Utc,
     written: Utc,
 }
 
@@ -179,7 +219,16 @@ fn values(fields: Fields) -> Values {
     let date = fields.night.to_string();
     let (year, month, day) = fields.night.ymd();
     let midnight = format!("{year:04}-{month:02}-{day:02}T00:00:00Z").parse().unwrap_or(Utc::EPOCH);
+    let as_word = |value: &TemplateValue| match value {
+        TemplateValue::Text(text) => TemplateValue::Text(word(text)),
+        other => other.clone(),
+    };
     BTreeMap::from([
+        ("camera", TemplateValue::Text(word(&fields.device))),
+        ("filter", as_word(&fields.filter)),
+        ("object", as_word(&fields.object)),
+        ("exposure", TemplateValue::Text(exposure_word(fields.exposure_s))),
+        ("start", TemplateValue::Text(fields.started.strftime("%Y%m%dT%H%M%S-%3f"))),
         ("action_type", TemplateValue::Text(fields.action)),
         ("device", TemplateValue::Text(fields.device)),
         ("filter_name", fields.filter),
@@ -205,6 +254,7 @@ fn trial() -> Values {
         exposure_s: 1.5,
         sequence: 0,
         night: sky::night_date(Angle::from_degrees(0.0), written),
+        started: written,
         written,
     })
 }
@@ -212,7 +262,34 @@ fn trial() -> Values {
 /// `Light Frame` becomes `light`.
 fn image_type(text: &str) -> &'static str {
     let text = text.to_lowercase();
-    ["light", "bias", "dark", "flat"].into_iter().find(|word| text.contains(word)).unwrap_or("default")
+    ["light", "bias", "dark", "flat", "acquisition", "test"]
+        .into_iter()
+        .find(|word| text.contains(word))
+        .unwrap_or("default")
+}
+
+/// A text as one word of a name: letters, digits, `+` and `-`, which need no quotes anywhere.
+fn word(text: &str) -> String {
+    let harmless = |c: char| c.is_ascii_alphanumeric() || "+-".contains(c);
+    let parts: Vec<String> = text
+        .split(|c: char| !harmless(c))
+        .map(|part| part.trim_matches('-').to_owned())
+        .filter(|part| !part.is_empty())
+        .collect();
+    if parts.is_empty() { "NA".to_owned() } else { parts.join("-") }
+}
+
+/// An exposure time without a dot: `120s`, `1500ms`, `250us`.
+fn exposure_word(exposure_s: f64) -> String {
+    let microseconds = (exposure_s * 1e6).round();
+    if !(0.0..1e15).contains(&microseconds) {
+        return "NA".to_owned();
+    }
+    match microseconds as u64 {
+        whole if whole % 1_000_000 == 0 => format!("{}s", whole / 1_000_000),
+        whole if whole % 1000 == 0 => format!("{}ms", whole / 1000),
+        whole => format!("{whole}us"),
+    }
 }
 
 /// Renders `{name:format}` fields; `{{` and `}}` are braces.

@@ -21,7 +21,7 @@ use crate::completion::{Completer, read_header};
 use crate::database::{Database, StoredFacts, StoredImage, Write};
 use crate::facts;
 use crate::folder::without_links;
-use crate::header::{Around, Later, completion, needed};
+use crate::header::{Around, Later, completion, needed, unknown_of_sensor};
 use crate::pairing::pairing;
 use crate::plan::Plan;
 use crate::reader::Reader;
@@ -117,7 +117,8 @@ pub fn complete_image(
         if !around.received_since && !is_void && !impatient {
             return Ok(None);
         }
-        polls.insert((kind, property), around);
+        let received_since = around.received_since || is_void;
+        polls.insert((kind, property), Around { received_since, ..around });
     }
     without_links(&config.folders.images, &image.path).context("the file is not where it was written")?;
     site.completer.recover(&image.path)?;
@@ -136,6 +137,7 @@ pub fn complete_image(
     let later =
         Later { frame, place: &config.place, mount, holds_s: site.holds_s(), present: &present, around: &around };
     let mut plan = completion(site.table, &later)?;
+    plan.history.extend(unknown_of_sensor(&present));
     if let Some(facts) = facts {
         let measured = measured(site.table, facts, frame);
         plan.cards.extend(measured.cards);

@@ -4,7 +4,7 @@
 //! of these keywords from elsewhere keeps it; one that lists it as computed (`astra`) chooses the comment.
 
 use config::header::{HeaderTable, Source};
-use contract::observatory::FrameFacts;
+use contract::observatory::{FrameFacts, FrameWcs};
 
 use crate::card::{Card, CardValue};
 use crate::plan::Plan;
@@ -14,7 +14,7 @@ type FactValue = fn(&FrameFacts) -> Option<CardValue>;
 /// Keyword, value and comment; units stand in brackets as the FITS standard 4.0, 4.3 has them.
 const KEYWORDS: [(&str, FactValue, &str); 23] = [
     ("NSTARS", |f| Some(CardValue::Int(f.stars?.into())), "stars found"),
-    ("FWHM", |f| f.fwhm_px.map(CardValue::Float), "[pix] median FWHM of the best stars"),
+    ("FWHM", |f| f.fwhm_px.map(CardValue::Float), "[pix] median FWHM of the best stars, Moffat"),
     ("FWHMERR", |f| f.fwhm_error_px.map(CardValue::Float), "[pix] standard error of FWHM"),
     ("ELLIPTIC", |f| f.ellipticity.map(CardValue::Float), "1 - minor / major axis of the same stars"),
     ("ELONGPA", |f| f.elongation_deg.map(CardValue::Float), "[deg] direction of the stars, +x to +y"),
@@ -35,12 +35,18 @@ const KEYWORDS: [(&str, FactValue, &str); 23] = [
     ),
     ("PIXSCALE", |f| f.scale_arcsec_px.map(CardValue::Float), "[arcsec/pix] size of a pixel at the centre"),
     ("POSANGLE", |f| f.rotation_deg.map(CardValue::Float), "[deg] +y from north through east"),
-    ("MIRRORED", |f| f.mirrored.map(CardValue::Logical), "first row at the top: mirror image"),
+    ("MIRRORED", |f| Some(is_mirrored(f.wcs.as_ref()?).into()), "det(CD) > 0, first row below: mirror image"),
     ("NMATCHED", |f| Some(CardValue::Int(f.matched?.into())), "stars that agree with the catalogue"),
     ("WCSRMS", |f| f.rms_px.map(CardValue::Float), "[pix] rms of their places"),
     ("WCSFALSE", |f| f.false_alarm.map(CardValue::Float), "probability of a false solution"),
     ("OFFTARG", |f| f.off_target_arcmin.map(CardValue::Float), "[arcmin] frame's middle to target"),
 ];
+
+/// Whether the sky is a mirror image as FITS counts pixels, with the first row at the bottom: north up, east on the right.
+fn is_mirrored(wcs: &FrameWcs) -> bool {
+    let [[a, b], [c, d]] = wcs.cd_deg_px;
+    a * d - b * c > 0.0
+}
 
 /// The keywords that facts make, with their comments.
 pub fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
@@ -95,11 +101,30 @@ mod tests {
             records,
             [
                 "NSTARS  =                  418 / stars found",
-                "FWHM    =                 1.93 / [pix] median FWHM of the best stars",
+                "FWHM    =                 1.93 / [pix] median FWHM of the best stars, Moffat",
                 "TRAILED =                    F / all stars are drawn out in one direction",
             ]
         );
         assert!(plan.history.is_empty());
+    }
+
+    /// East on the left when north is up is the sky as it is, whatever way the camera is turned.
+    #[test]
+    fn a_mirror_image_is_one_by_the_matrix_of_the_solution() {
+        for (cd_deg_px, expected) in [
+            ([[-1e-4, 0.0], [0.0, 1e-4]], false),
+            ([[1e-4, 0.0], [0.0, -1e-4]], false),
+            ([[0.0, 1e-4], [1e-4, 0.0]], false),
+            ([[1e-4, 0.0], [0.0, 1e-4]], true),
+            ([[0.0, -1e-4], [1e-4, 0.0]], true),
+        ] {
+            let wcs = FrameWcs { ra_deg: 1.0, dec_deg: 2.0, x_px: 3.0, y_px: 4.0, cd_deg_px, sip: None };
+            // What the facts say is about the picture with its first row at the top.
+            let facts = FrameFacts { wcs: Some(wcs), mirrored: Some(!expected), ..FrameFacts::default() };
+            let cards = plan(&HeaderTable::default(), &facts).cards;
+            let value = cards.iter().find(|card| card.keyword == "MIRRORED").map(|card| card.value.clone());
+            assert_eq!(value, Some(expected.into()), "{cd_deg_px:?}");
+        }
     }
 
     #[test]

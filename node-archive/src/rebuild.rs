@@ -158,13 +158,17 @@ impl Found {
         // JSON has no other numbers, and one frame that cannot be read back would hide all others.
         let number = |keyword: &str| text(keyword)?.parse::<f64>().ok().filter(|number| number.is_finite());
         let time = |keyword: &str| format!("{}Z", text(keyword)?.trim_end_matches('Z')).parse::<Utc>().ok();
-        let own = config.place.telescope.as_str();
+        let place = &config.place;
         let telescope = text("TELESCOP");
-        if telescope.as_deref().is_some_and(|telescope| telescope != own) {
+        let is_own = |name: &String| name == place.telescope.as_str() || *name == place.telescope_in_network();
+        if telescope.as_ref().is_some_and(|telescope| !is_own(telescope)) {
             return None;
         }
-        let named =
-            config.camera.iter().find(|camera| Some(camera.common.name.as_str()) == text("INSTRUME").as_deref());
+        let instrument = text("INSTRUME");
+        let is_named = |name: &str| {
+            instrument.as_ref().is_some_and(|given| given == name || *given == place.camera_in_network(name))
+        };
+        let named = config.camera.iter().find(|camera| is_named(camera.common.name.as_str()));
         let camera = match (named, config.camera.as_slice()) {
             (Some(camera), _) => camera,
             // A site's own table may write something else under INSTRUME.

@@ -1,7 +1,7 @@
 //! The cards of a plate solution: the standard world coordinate system of FITS, so that any program knows what the
 //! pixels show.
 //!
-//! TAN, with the SIP polynomials where the optics distort; Calabretta & Greisen 2002, A&A 395, 1077 and Shupe et al.
+//! TAN with SIP polynomials, which have no terms where no distortion was seen, so that all frames of a series have one form; Calabretta & Greisen 2002, A&A 395, 1077 and Shupe et al.
 //! 2005, ASP Conf. 347, 491. A WCS is whole or nothing: where the site's table takes one of its keywords from
 //! elsewhere, none is written, and the history contains a line about it.
 
@@ -23,6 +23,12 @@ pub fn plan(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
     let Some(solution) = &facts.wcs else { return Plan::default() };
     let (width, height) = (frame.width_px as usize, frame.height_px as usize);
     let mut cards: Vec<Card> = wcs(solution).cards(width, height).iter().map(card).collect();
+    if solution.sip.is_none() {
+        cards.iter_mut().for_each(as_distorted);
+        cards.extend(["A", "B", "AP", "BP"].map(|polynomial| {
+            Card::new(&format!("{polynomial}_ORDER"), CardValue::Int(2), "order of the distortion polynomial, no terms")
+        }));
+    }
     cards.push(Card::new("EQUINOX", CardValue::Float(2000.0), "equinox of CRVAL1 and CRVAL2"));
     let row = |keyword: &str| table.rows.iter().find(|row| row.keyword == keyword);
     cards.retain(|card| !(FRAME.contains(&card.keyword.as_str()) && row(&card.keyword).is_some()));
@@ -34,7 +40,14 @@ pub fn plan(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
     Plan { cards, history: Vec::new() }
 }
 
-/// The keywords of a solution without distortion.
+/// Frames of a series have one form: one on which no distortion was seen has a polynomial without terms.
+fn as_distorted(card: &mut Card) {
+    if let (true, CardValue::Text(kind)) = (card.keyword.starts_with("CTYPE"), &mut card.value) {
+        kind.push_str("-SIP");
+    }
+}
+
+/// The keywords of a solution without the terms of its distortion.
 pub const PLAIN: [&str; 15] = [
     "WCSAXES", "CTYPE1", "CTYPE2", "CUNIT1", "CUNIT2", "RADESYS", "EQUINOX", "CRVAL1", "CRVAL2", "CRPIX1", "CRPIX2",
     "CD1_1", "CD1_2", "CD2_1", "CD2_2",
@@ -112,8 +125,10 @@ mod tests {
         let records: Vec<String> = plan.cards.iter().map(|card| card.record().unwrap()).collect();
         for begin in [
             "WCSAXES =                    2 /",
-            "CTYPE1  = 'RA---TAN'",
-            "CTYPE2  = 'DEC--TAN'",
+            "CTYPE1  = 'RA---TAN-SIP'",
+            "CTYPE2  = 'DEC--TAN-SIP'",
+            "A_ORDER =                    2 /",
+            "BP_ORDER=                    2 /",
             "RADESYS = 'ICRS    '",
             "EQUINOX =               2000.0 /",
             "CRVAL1  =                346.5 /",
@@ -126,6 +141,26 @@ mod tests {
         }
         assert!(records[0].starts_with("WCSAXES"), "the standard wants it before all others");
         assert!(plan.cards.iter().all(|card| makes(&card.keyword)));
+    }
+
+    /// A field with few stars shows no distortion, and the frame behind it does: a program that reads a series meets one form.
+    #[test]
+    fn frames_of_a_series_have_one_form_of_coordinates() {
+        let sip = Distortion { a: [0.0, 0.0, 0.0, 2e-9, 0.0, 2e-9, 0.0], b: [0.0, 0.0, 0.0, 0.0, 2e-9, 0.0, 2e-9] };
+        let form = |sip| {
+            let cards = plan(&HeaderTable::default(), &facts(sip), &frame()).cards;
+            let is_form = |card: &Card| card.keyword.starts_with("CTYPE") || card.keyword.ends_with("_ORDER");
+            let of_form = cards.into_iter().filter(is_form);
+            of_form
+                .map(|card| (card.keyword, matches!(card.value, CardValue::Text(_)).then_some(card.value)))
+                .collect::<Vec<_>>()
+        };
+        let (bent, plain) = (form(Some(sip)), form(None));
+        let sorted = |mut cards: Vec<(String, Option<CardValue>)>| {
+            cards.sort_by(|a, b| a.0.cmp(&b.0));
+            cards
+        };
+        assert_eq!(sorted(bent), sorted(plain));
     }
 
     #[test]
@@ -149,7 +184,8 @@ mod tests {
         assert!(bent.iter().any(|card| is_distortion(&card.keyword)));
         for card in &bent {
             assert!(stays(&card.keyword, &bent), "{}: the same again", card.keyword);
-            assert_eq!(stays(&card.keyword, &plain), !is_distortion(&card.keyword), "{}", card.keyword);
+            let is_term = is_distortion(&card.keyword) && !card.keyword.ends_with("_ORDER");
+            assert_eq!(stays(&card.keyword, &plain), !is_term, "{}", card.keyword);
             assert!(stays(&card.keyword, &[]), "{}: what is no solution takes nothing away", card.keyword);
         }
         for other in ["A_GAIN", "B_12_3", "APERTURE", "AP_", "BP", "FILTER"] {
@@ -161,7 +197,7 @@ mod tests {
     fn a_table_with_a_word_of_its_own_gets_no_half_of_a_solution() {
         let lists_the_frame = table("RADESYS,str,true,static,ICRS,\nEQUINOX,float,true,static,2000,\n");
         let cards = plan(&lists_the_frame, &facts(None), &frame()).cards;
-        assert!(cards.len() == 13 && cards.iter().all(|card| !FRAME.contains(&card.keyword.as_str())));
+        assert!(cards.len() == 17 && cards.iter().all(|card| !FRAME.contains(&card.keyword.as_str())));
         let takes_one = table("CRVAL1,float,true,static,10.0,\n");
         let plan = plan(&takes_one, &facts(None), &frame());
         assert!(plan.cards.is_empty() && plan.history[0].contains("takes CRVAL1 from elsewhere"));

@@ -187,8 +187,11 @@ impl Store {
             own.or_else(|| self.newest.value(devices.get(&kind)?, property))
         };
         let place = &self.node.config.place;
-        let cards =
-            header::base(&self.node.header, &header::HeaderFacts { frame: &frame, place, written, newest: &newest });
+        let sensor = header::Sensor::of(&self.node.config, &frame.camera);
+        let cards = header::base(
+            &self.node.header,
+            &header::HeaderFacts { frame: &frame, place, written, sensor, newest: &newest },
+        );
         let room = header::room(&self.node.header);
         let images = self.node.config.folders.images.clone();
         let parts = folder::parts(&images, &self.node.config.address());

@@ -157,8 +157,9 @@ async fn serve_devices(node: Node, guarded: Option<(GuardLink, NodeOptions)>) ->
         if let Err(died) = tokio::task::spawn_blocking(move || spool.sweep_at_the_end()).await {
             tracing::error!(%died, "the spool could not be swept");
         }
+    } else {
+        tasks.shutdown().await;
     }
-    tasks.shutdown().await;
     audit.end().await;
     result
 }

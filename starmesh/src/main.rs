@@ -12,6 +12,7 @@ mod demo;
 mod discover;
 #[cfg(test)]
 mod documents_tests;
+mod fields;
 mod first_tables;
 mod fits_files;
 mod images;

@@ -13,7 +13,7 @@ from shared import starmesh  # noqa: E402, F401 (a fixture)
 
 # each runs nights of a minute or more; begun first, they end with the others
 LONGEST = ["disk_full", "pixel_types", "delivery_faults", "delivery", "foreign_sky", "parquet", "imported_sites", "import_document", "foreign_actions", "guide",
-           "foreign_night", "transit", "profiles"]
+           "foreign_night", "transit", "tools", "profiles"]
 
 
 def pytest_collection_modifyitems(items):

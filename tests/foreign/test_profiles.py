@@ -25,6 +25,7 @@ os.environ.setdefault("FILESTORE_TYPE", "local")
 
 HERE = EarthLocation.from_geodetic(LONGITUDE, LATITUDE, ELEVATION)
 PROGRAMME = "LCO2026B-001"
+INSTRUMENT = f"{SITE}-{TELESCOPE}-camera_1"
 # what an archive calls this site, and no frame of ours knows
 GIVEN = {"astra": [], "lco": ["--set", "SITEID=bfr", "--set", "TELID=1m0a"], "eso": ["--set", "INSTRUME=SPECULOOS1"]}
 
@@ -163,7 +164,7 @@ def test_ocs_archive_and_the_ingester_accept_the_profile_lco(night, tmp_path):
         with open(copy, "rb") as opened:
             record = ingester.validate_fits_and_create_archive_record(opened)
             assert record["basename"] == copy.name.removesuffix(".fits"), "a dot in a name would end it"
-            assert (record["site_id"], record["telescope_id"], record["instrument_id"]) == ("bfr", "1m0a", "camera_1")
+            assert (record["site_id"], record["telescope_id"], record["instrument_id"]) == ("bfr", "1m0a", INSTRUMENT)
             assert record["proposal_id"] == PROGRAMME
             assert record["reduction_level"] == 0
             assert record["observation_date"] == header["DATE-OBS"]
@@ -178,7 +179,7 @@ def test_ocs_archive_and_the_ingester_accept_the_profile_lco(night, tmp_path):
             for reader in (FileFactory.get_datafile_class_for_extension(".fits"), LcoFitsFile):
                 data = reader(File(opened))
                 stored = FileSystemStore(str(tmp_path)).store_file(data)
-                path = tmp_path / "bfr" / "camera_1" / header["NIGHT"] / "raw" / copy.name
+                path = tmp_path / "bfr" / INSTRUMENT / header["NIGHT"] / "raw" / copy.name
                 assert path.read_bytes() == copy.read_bytes() and len(stored["md5"]) == 32
     assert sorted(types) == ["BIAS", "DARK", "EXPOSE", "EXPOSE", "EXPOSE"] and outlines >= 1
 
@@ -217,7 +218,7 @@ def test_values_of_the_middle_of_the_exposure_agree_with_astropy(night):
     seen = 0
     for path in night.site.fits():
         header = fits.getheader(path)
-        assert (header["OBSERVAT"], header["TELESCOP"], header["PROGID"]) == (SITE, TELESCOPE, PROGRAMME)
+        assert (header["OBSERVAT"], header["TELESCOP"], header["PROGID"]) == (SITE, f"{SITE}-{TELESCOPE}", PROGRAMME)
         middle = Time(header["DATE-OBS"], scale="utc") + header["EXPTIME"] / 2 * u.s
         middle.delta_ut1_utc = 0.0
         assert abs(header["MJD-AVG"] - middle.mjd) < 1e-8, path

@@ -70,7 +70,7 @@ pub struct Delivery {
 }
 
 /// Kinds of frames by the names that files have.
-const IMAGE_TYPES: [&str; 4] = ["light", "bias", "dark", "flat"];
+const IMAGE_TYPES: [&str; 6] = ["light", "acquisition", "bias", "dark", "flat", "test"];
 
 /// Most days of which nights are looked at every few seconds.
 const MOST_DAYS: u32 = 1000;

@@ -248,6 +248,12 @@ devices! {
         /// Size of an unbinned pixel on the sky, arcsec, to 5 %; by the pixel size and the mount's focal length, as the
         /// devices report them, where absent.
         scale_arcsec_px: Option<f64> = None,
+        /// Electrons of one ADU; what the driver reports where absent.
+        electrons_per_adu: Option<f64> = None,
+        /// Read noise, electrons rms; for headers, since drivers do not report it.
+        read_noise_e: Option<f64> = None,
+        /// A pixel of this value or above is saturated, ADU; what the driver reports as its largest value where absent.
+        saturation_adu: Option<f64> = None,
         /// What a good flat is.
         flats: Flats = Flats::default(),
         /// What guide pulses do to its stars, until that is learned here.

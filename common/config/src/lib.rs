@@ -74,7 +74,7 @@ pub use names::Names;
 pub use nearest::{distance, meant, nearest};
 pub use network_archive::NetworkArchive;
 pub use observatory::{
-    Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, WindSector,
+    Archive, Bus, ClockSource, FileProfile, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, WindSector,
 };
 pub use pointing::{OnFailure, Pointing};
 pub use slit::{Follow, Slit};

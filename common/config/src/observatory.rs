@@ -199,6 +199,16 @@ pub struct Place {
 }
 
 impl Place {
+    /// A name of the telescope that no other telescope of a network has.
+    pub fn telescope_in_network(&self) -> String {
+        format!("{}-{}", self.site, self.telescope)
+    }
+
+    /// A name of one of its cameras that no other camera of a network has.
+    pub fn camera_in_network(&self, camera: &str) -> String {
+        format!("{}-{}-{camera}", self.site, self.telescope)
+    }
+
     /// The same as the sky is worked out for it: a place on an Earth that turns as it does.
     ///
     /// # Errors
@@ -324,6 +334,17 @@ impl Default for Spool {
     }
 }
 
+/// Whose files new files look like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FileProfile {
+    /// Names of plain words, in the order of exposure.
+    #[default]
+    Plain,
+    /// As the predecessor names them.
+    Astra,
+}
+
 /// `[archive]`: how frames are named and kept.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -332,6 +353,8 @@ pub struct Archive {
     pub database: PathBuf,
     /// FITS-header table (CSV); the built-in rows where absent.
     pub fits_header: Option<PathBuf>,
+    /// How files are named where `filename` does not say.
+    pub profile: FileProfile,
     /// File name templates by action type: `object`, `calibration`, `flats`, `autofocus`, `calibrate_guiding`,
     /// `pointing_model`, `default`.
     pub filename: BTreeMap<String, String>,
@@ -367,6 +390,7 @@ impl Default for Archive {
         Self {
             database: "data/archive.db".into(),
             fits_header: None,
+            profile: FileProfile::default(),
             filename: BTreeMap::new(),
             raw_days: 90,
             backups: None,

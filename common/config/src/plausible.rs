@@ -145,6 +145,9 @@ fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
     for (path, shown, camera) in blocks(&observatory.camera) {
         number(&path, &shown, "temperature_tolerance_c", Some(camera.temperature_tolerance_c), 0.01, 50.0, "K");
         number(&path, &shown, "cooling_timeout_min", Some(camera.cooling_timeout_min), 0.05, 1440.0, "min");
+        number(&path, &shown, "electrons_per_adu", camera.electrons_per_adu, 1e-4, 1000.0, "electrons");
+        number(&path, &shown, "read_noise_e", camera.read_noise_e, 0.0, 1000.0, "electrons");
+        number(&path, &shown, "saturation_adu", camera.saturation_adu, 1.0, 4_294_967_295.0, "ADU");
         if camera.temperature_c.is_none_or(|set| set < KELVIN_FROM) {
             number(&path, &shown, "temperature_c", camera.temperature_c, -200.0, 60.0, "degrees Celsius");
         }

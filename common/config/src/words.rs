@@ -385,7 +385,8 @@ pub fn belongs_to(key: &str, table: &[Step]) -> Option<String> {
     };
     let (right, example): (&str, &str) = match key {
         "site" | "latitude_deg" | "longitude_deg" | "elevation_m" => ("observatory", "[observatory]"),
-        "temperature_c" | "scale_arcsec_px" | "guide_calibration" | "flats" => ("camera", "[[camera]]"),
+        "temperature_c" | "scale_arcsec_px" | "guide_calibration" | "flats" | "read_noise_e" | "electrons_per_adu"
+        | "saturation_adu" => ("camera", "[[camera]]"),
         "permit_valid_s" | "close_with_mount" | "watchdog_s" | "follow" | "slit" => ("dome", "[[dome]]"),
         "limits" | "horizon" | "meridian_flip" | "equatorial_system" | "slew_timeout_s" => {
             ("telescope", "[[telescope]]")
@@ -394,7 +395,7 @@ pub fn belongs_to(key: &str, table: &[Step]) -> Option<String> {
         "filters" => ("filterwheel", "[[filterwheel]]"),
         "sun_altitude_max_deg" | "wind_sector" => ("safety", "[safety]"),
         "fits_header" | "database" | "filename" | "raw_days" | "backups" | "parquet" => ("archive", "[archive]"),
-        "remove_delivered_after_days" | "disk_warn_gb" | "compress" => ("archive", "[archive]"),
+        "remove_delivered_after_days" | "disk_warn_gb" | "compress" | "profile" => ("archive", "[archive]"),
         "robotic" => ("schedule", "[schedule]"),
         "multicast" => ("bus", "[bus]"),
         _ => return None,

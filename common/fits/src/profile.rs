@@ -36,9 +36,11 @@ pub use page::page;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ProfileName {
-    /// Files as the archive node writes them.
+    /// Files as the archive node writes them, and as the predecessor did.
     #[default]
     Astra,
+    /// Files as the archive node writes them, with what the programs of others read.
+    Plain,
     /// The ESO archive.
     Eso,
     /// Archives that run LCO's `ocs-archive`.
@@ -46,11 +48,11 @@ pub enum ProfileName {
 }
 
 /// All profiles.
-pub const PROFILES: [ProfileName; 3] = [ProfileName::Astra, ProfileName::Eso, ProfileName::Lco];
+pub const PROFILES: [ProfileName; 4] = [ProfileName::Astra, ProfileName::Plain, ProfileName::Eso, ProfileName::Lco];
 
 /// Not the name of a profile.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is no profile; expected astra, eso or lco")]
+#[error("{0:?} is no profile; expected astra, plain, eso or lco")]
 pub struct UnknownProfile(String);
 
 /// A profile that cannot be used; the tests prove that the embedded ones can.
@@ -72,6 +74,9 @@ pub struct Profile {
     /// Whether the header is delivered as it is.
     #[serde(default)]
     pub unchanged: bool,
+    /// Whether what breaks its rules is only reported by a check: a copy is made all the same, where FITS itself allows it.
+    #[serde(default)]
+    pub advice: bool,
     /// Whether COMMENT and HISTORY are delivered.
     pub commentary: bool,
     /// Keywords of our files that are delivered as they are; `*` at the end of one stands for any rest.
@@ -163,7 +168,7 @@ pub enum When {
     Always,
     /// Those of the sky that are no flats.
     Light,
-    /// Bias, dark and flat.
+    /// Bias, dark, flat, and the tests of flats.
     Calibration,
     /// Those with a plate solution.
     Solved,
@@ -220,6 +225,7 @@ impl ProfileName {
     pub const fn word(self) -> &'static str {
         match self {
             Self::Astra => "astra",
+            Self::Plain => "plain",
             Self::Eso => "eso",
             Self::Lco => "lco",
         }
@@ -248,6 +254,7 @@ impl Profile {
     pub fn load(name: ProfileName) -> Result<Self, ProfileError> {
         let text = match name {
             ProfileName::Astra => include_str!("profile/astra.toml"),
+            ProfileName::Plain => include_str!("profile/plain.toml"),
             ProfileName::Eso => include_str!("profile/eso.toml"),
             ProfileName::Lco => include_str!("profile/lco.toml"),
         };
@@ -280,7 +287,7 @@ impl Profile {
 
 impl When {
     fn holds(self, cards: &CardList) -> bool {
-        let is_calibration = || matches!(computed::kind(cards), Some("bias" | "dark" | "flat"));
+        let is_calibration = || matches!(computed::kind(cards), Some("bias" | "dark" | "flat" | "test"));
         match self {
             Self::Always => true,
             Self::Light => !is_calibration(),

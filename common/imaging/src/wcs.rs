@@ -119,12 +119,12 @@ impl Wcs {
             text("RADESYS", "ICRS", "frame of the coordinates"),
             number("CRVAL1", self.ra.degrees(), "[deg] right ascension of the reference pixel"),
             number("CRVAL2", self.dec.degrees(), "[deg] declination of the reference pixel"),
-            number("CRPIX1", self.x_px + 1.0, "[px] column of the reference pixel, from 1"),
-            number("CRPIX2", self.y_px + 1.0, "[px] row of the reference pixel, from 1"),
-            number("CD1_1", a, "[deg/px] to the east per column"),
-            number("CD1_2", b, "[deg/px] to the east per row"),
-            number("CD2_1", c, "[deg/px] to the north per column"),
-            number("CD2_2", d, "[deg/px] to the north per row"),
+            number("CRPIX1", self.x_px + 1.0, "[pix] column of the reference pixel, from 1"),
+            number("CRPIX2", self.y_px + 1.0, "[pix] row of the reference pixel, from 1"),
+            number("CD1_1", a, "[deg/pix] to the east per column"),
+            number("CD1_2", b, "[deg/pix] to the east per row"),
+            number("CD2_1", c, "[deg/pix] to the north per column"),
+            number("CD2_2", d, "[deg/pix] to the north per row"),
         ];
         if let Some(sip) = self.sip {
             let half = |length: usize, at: f64| at.max(length as f64 - 1.0 - at).max(1.0);

@@ -42,8 +42,9 @@ CREATE INDEX fluxes_series ON fluxes (series);
 /// The addition of version 12: verdicts with their reasons, one a row.
 pub(super) const VERDICTS: &str = "
 CREATE VIEW verdicts AS
-    SELECT telescope, datetime AS began, last, json_extract(state, '$.verdict') AS verdict,
-        json_extract(reason.value, '$.input') AS input, json_extract(reason.value, '$.why') AS why
+    SELECT telescope, CAST(replace(datetime, ' ', 'T') || 'Z' AS TEXT) AS began_utc,
+        CAST(replace(last, ' ', 'T') || 'Z' AS TEXT) AS last_utc, CAST(json_extract(state, '$.verdict') AS TEXT) AS verdict,
+        CAST(json_extract(reason.value, '$.input') AS TEXT) AS input, CAST(json_extract(reason.value, '$.why') AS TEXT) AS why
     FROM states LEFT JOIN json_each(states.state, '$.reasons') AS reason
     WHERE part = 'safety';
 ";

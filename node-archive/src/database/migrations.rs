@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use rusqlite::Connection;
 use rusqlite_migration::{M, Migrations};
 
-use super::{DatabaseError, guiding, happenings, owner, rows, streams, telemetry};
+use super::{DatabaseError, guiding, happenings, owner, rows, streams, telemetry, views};
 
 /// What each version adds. The number of a version stands in the file as `PRAGMA user_version`. A step that sites have
 /// run stays as it is; changes come as a step more.
-pub(super) const STEPS: [&str; 12] = [
+pub(super) const STEPS: [&str; 13] = [
     rows::SCHEMA,
     rows::AUDIT,
     rows::FACTS,
@@ -23,6 +23,7 @@ pub(super) const STEPS: [&str; 12] = [
     owner::SCHEMA,
     streams::SCHEMA,
     happenings::VERDICTS,
+    views::SCHEMA,
 ];
 
 /// The version that this Starmesh writes.

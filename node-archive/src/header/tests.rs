@@ -23,6 +23,9 @@ fn place() -> config::Place {
     }
 }
 
+/// The site in the Earth's frame.
+const OBSGEO_M: [f64; 3] = [4_234_769.43, 595_158.03, 4_717_619.47];
+
 fn frame() -> Frame {
     Frame {
         id: CommandId("frame-1".to_owned()),
@@ -60,7 +63,7 @@ fn base_of(
     newest: &dyn Fn(Kind, &str) -> Option<Scalar>,
 ) -> BTreeMap<String, CardValue> {
     let written = frame.started_utc.plus_seconds(10.0);
-    let cards = base(table, &HeaderFacts { frame, place: &place(), written, newest });
+    let cards = base(table, &HeaderFacts { frame, place: &place(), written, sensor: Sensor::default(), newest });
     let count = cards.len();
     let cards: BTreeMap<_, _> = cards.into_iter().map(|card| (card.keyword, card.value)).collect();
     assert_eq!(cards.len(), count, "a keyword stands twice");
@@ -116,16 +119,27 @@ fn a_new_header_has_what_is_known_and_nothing_else() {
         ("RADESYS", "ICRS".into()),
         ("XPIXSZ", CardValue::Float(27.0)),
         ("XBINNING", CardValue::Int(2)),
-        ("FOCALLEN", CardValue::Float(8.0)),
-        ("TELESCOP", "callisto".into()),
-        ("INSTRUME", "andor".into()),
+        ("FOCALLEN", CardValue::Float(8000.0)),
+        ("TELESCOP", "paranal-callisto".into()),
+        ("INSTRUME", "paranal-callisto-andor".into()),
+        ("SITELAT", CardValue::Float(48.0)),
+        ("SITELONG", CardValue::Float(8.0)),
+        ("SITEELEV", CardValue::Float(1000.0)),
+        // By astropy 5.2, EarthLocation.from_geodetic(8, 48, 1000).
+        ("OBSGEO-X", CardValue::Float(OBSGEO_M[0])),
+        ("OBSGEO-Y", CardValue::Float(OBSGEO_M[1])),
+        ("OBSGEO-Z", CardValue::Float(OBSGEO_M[2])),
+        ("OBSGEO-H", CardValue::Float(997.0)),
+        ("SWCREATE", PROGRAM.into()),
+        ("ROWORDER", "TOP-DOWN".into()),
+        ("BUNIT", "adu".into()),
         // The site that everything is computed for, not the site that the mount has.
         ("LAT-OBS", CardValue::Float(48.0)),
         ("ASTRA", PROGRAM.into()),
     ] {
         assert_eq!(cards.get(keyword), Some(&value), "{keyword}");
     }
-    for keyword in ["BZERO", "SIMPLE", "BLANK", "YPIXSZ", "FILTER", "ALTITUDE", "ID", "AIRMASS", "PI-COI"] {
+    for keyword in ["BZERO", "SIMPLE", "BLANK", "YPIXSZ", "FILTER", "ALTITUDE", "ID", "AIRMASS", "PI-COI", "GAIN"] {
         assert_eq!(cards.get(keyword), None, "{keyword}");
     }
 }
@@ -167,7 +181,7 @@ fn the_targets_place_is_never_converted_again() {
     let (cards, history) = complete(&HeaderTable::default(), &frame(), EquatorialSystem::Topocentric, &around);
     assert!(!cards.contains_key("RA") && !cards.contains_key("DEC"));
     assert_eq!(cards["ALTITUDE"], CardValue::Float(11.0));
-    assert_eq!(cards["PIERSIDE"], CardValue::Int(10));
+    assert_eq!(cards["PIERSIDE"], "unknown".into());
     assert!(cards.contains_key("OBJALT") && history.is_empty(), "{history:?}");
 }
 
@@ -395,8 +409,127 @@ fn the_middle_of_the_exposure_has_its_airmass_sun_and_moon() {
     // Without a direction there is no airmass and no distance.
     frame.purpose.ra_deg = None;
     let (cards, history) = complete(&table(&rows), &frame, EquatorialSystem::J2000, &|_, _| None);
-    assert!(!cards.contains_key("MOONDIST") && cards.contains_key("SUNALT"));
+    assert!(!cards.contains_key("MOONDIST") && !cards.contains_key("BJD_TDB") && cards.contains_key("SUNALT"));
     assert_eq!(history, ["not known at DATE-OBS: AIRMASS, AIRMMID, MOONDIST"]);
+}
+
+/// A light curve of exposures of 120 s is 60 s early by the start; the middle is there whatever the table lists.
+#[test]
+fn the_middle_of_the_exposure_is_in_every_header() {
+    let mut frame = frame();
+    frame.exposure_s = 120.0;
+    let (cards, _) = complete(&table("BJD-OBS,float,false,astra,,\n"), &frame, EquatorialSystem::J2000, &|_, _| None);
+    assert!((float(&cards["BJD_TDB"]) - float(&cards["BJD-OBS"]) - 60.0 / 86_400.0).abs() < 2e-7, "{cards:?}");
+    assert!(["DATE-AVG", "MJD-AVG", "AIRMMID"].iter().all(|keyword| cards.contains_key(*keyword)));
+    // The same number as that of an exposure that begins then.
+    let mut later = frame.clone();
+    later.started_utc = frame.started_utc.plus_seconds(60.0);
+    let (at_start, _) =
+        complete(&table("BJD-OBS,float,false,astra,,\n"), &later, EquatorialSystem::J2000, &|_, _| None);
+    assert!((float(&cards["BJD_TDB"]) - float(&at_start["BJD-OBS"])).abs() < 1e-9);
+}
+
+#[test]
+fn a_frame_with_a_closed_shutter_has_a_time_and_no_direction() {
+    for image_type in ["Bias Frame", "Dark Frame"] {
+        let mut frame = frame();
+        frame.purpose.image_type = image_type.to_owned();
+        let around = |_: Kind, _: &str| polls(Scalar::Float(10.0), Scalar::Float(10.0));
+        let (cards, history) = complete(&HeaderTable::default(), &frame, EquatorialSystem::J2000, &around);
+        assert!(
+            ["JD-OBS", "MJD-AVG", "DATE-END", "SUNALT", "CCD-TEMP"].iter().all(|keyword| cards.contains_key(*keyword))
+        );
+        let of_sky = ["AIRMASS", "AIRMMID", "BJD-OBS", "BJD_TDB", "HJD-OBS", "HA", "MOONDIST", "OBJALT", "OBJAZ"];
+        assert!(of_sky.iter().all(|keyword| !cards.contains_key(*keyword)), "{image_type}: {cards:?}");
+        assert!(history.is_empty(), "what there cannot be is not missed: {history:?}");
+    }
+}
+
+/// What photometry asks for: by the driver, before it by the configuration, and named where neither knows.
+#[test]
+fn gain_noise_and_saturation_are_the_drivers_or_the_configurations() {
+    let driver = |kind: Kind, property: &str| match (kind, property) {
+        (Kind::Camera, "ElectronsPerADU") => Some(Scalar::Float(1.3)),
+        (Kind::Camera, "MaxADU") => Some(Scalar::Int(1_048_575)),
+        _ => None,
+    };
+    let with = |sensor: Sensor, newest: &dyn Fn(Kind, &str) -> Option<Scalar>, table: &HeaderTable| {
+        let (frame, place) = (frame(), place());
+        let known = HeaderFacts { frame: &frame, place: &place, written: frame.started_utc, sensor, newest };
+        base(table, &known).into_iter().map(|card| (card.keyword, card.value)).collect::<BTreeMap<_, _>>()
+    };
+    let present = |cards: &BTreeMap<String, CardValue>| cards.keys().cloned().collect::<BTreeSet<String>>();
+    for table in [HeaderTable::default(), table("")] {
+        let cards = with(Sensor::default(), &driver, &table);
+        assert_eq!((&cards["GAIN"], &cards["EGAIN"]), (&CardValue::Float(1.3), &CardValue::Float(1.3)));
+        // 16 bits hold no more.
+        assert_eq!(cards["SATURATE"], CardValue::Float(65_535.0));
+        assert_eq!(unknown_of_sensor(&present(&cards)), ["RDNOISE not known: give read_noise_e of the camera's block"]);
+        let given = Sensor { electrons_per_adu: Some(0.8), read_noise_e: Some(2.5), saturation_adu: Some(50_000.0) };
+        let cards = with(given, &driver, &table);
+        assert_eq!((&cards["GAIN"], &cards["RDNOISE"]), (&CardValue::Float(0.8), &CardValue::Float(2.5)));
+        assert_eq!((&cards["SATURATE"], unknown_of_sensor(&present(&cards))), (&CardValue::Float(50_000.0), vec![]));
+    }
+    // Drivers report 0 for what they do not know.
+    let zeros = |_: Kind, _: &str| Some(Scalar::Int(0));
+    let cards = with(Sensor::default(), &zeros, &HeaderTable::default());
+    assert!(["GAIN", "EGAIN", "SATURATE", "FOCALLEN", "APTDIA"].iter().all(|keyword| !cards.contains_key(*keyword)));
+    assert_eq!(unknown_of_sensor(&present(&cards)).len(), 3);
+    // A site whose GAIN is the setting of its camera keeps it.
+    let own = table("GAIN,int,false,Camera,Gain,setting\n");
+    assert_eq!(with(Sensor::default(), &driver, &own).get("GAIN"), None);
+    assert!(unknown_of_sensor(&BTreeSet::new()).iter().all(|line| line.len() <= 72));
+}
+
+#[test]
+fn lengths_are_in_the_unit_that_the_table_names() {
+    let newest = |_: Kind, property: &str| {
+        Some(Scalar::Float(match property {
+            "FocalLength" => 0.9,
+            "ApertureDiameter" => 0.3,
+            _ => 0.07,
+        }))
+    };
+    let of = |unit: &str| {
+        let row = |keyword: &str, unit: String| format!("{keyword},float,true,astra,,{unit} of the telescope\n");
+        let rows =
+            [row("FOCALLEN", unit.to_owned()), row("APTDIA", unit.to_owned()), row("APTAREA", unit.replace(']', "2]"))];
+        let cards = base_of(&table(&rows.concat()), &frame(), &newest);
+        ["FOCALLEN", "APTDIA", "APTAREA"].map(|keyword| float(&cards[keyword]))
+    };
+    assert_eq!(of("[mm]"), [900.0, 300.0, 70_000.0]);
+    assert_eq!(of("[m]"), [0.9, 0.3, 0.07]);
+    // As the predecessor's tables have it.
+    assert_eq!(of("length"), [0.9, 0.3, 0.07]);
+}
+
+#[test]
+fn states_are_words_where_the_table_asks_for_a_text() {
+    let state = |number: i64| move |_: Kind, _: &str| polls(Scalar::Int(number), Scalar::Int(number));
+    let of = |dtype: &str, number: i64| {
+        let table = table(&format!(
+            "PIERSIDE,{dtype},false,Telescope,SideOfPier,\nDOMESTAT,{dtype},false,Dome,ShutterStatus,\nFW-POS,{dtype},false,FilterWheel,Position,\n"
+        ));
+        let (cards, _) = complete(&table, &frame(), EquatorialSystem::J2000, &state(number));
+        ["PIERSIDE", "DOMESTAT", "FW-POS"].map(|keyword| cards[keyword].clone())
+    };
+    assert_eq!(of("str", 1), ["West".into(), "closed".into(), "1".into()]);
+    assert_eq!(of("str", 0), ["East".into(), "open".into(), "0".into()]);
+    assert_eq!(of("str", -1), ["unknown".into(), "unknown".into(), "-1".into()]);
+    assert_eq!(of("int", 1), [1, 1, 1].map(CardValue::Int));
+}
+
+/// A station without a rain sensor is not one that was not asked.
+#[test]
+fn a_sensor_that_a_device_does_not_have_is_not_missed() {
+    let around = |kind: Kind, property: &str| match (kind, property) {
+        (Kind::ObservingConditions, "RainRate") => Some(Around { received_since: true, ..Around::default() }),
+        (Kind::ObservingConditions, "Pressure") => Some(Around::default()),
+        _ => None,
+    };
+    let (cards, history) = complete(&HeaderTable::default(), &frame(), EquatorialSystem::J2000, &around);
+    assert!(!cards.contains_key("RAINRATE") && !cards.contains_key("PRESSURE"));
+    assert_eq!(history, ["not known at DATE-OBS: PRESSURE"]);
 }
 
 #[test]
@@ -437,7 +570,8 @@ fn a_target_below_the_horizon_has_a_direction_and_no_airmass() {
     for (ra_deg, dec_deg) in [(Some(90.0), Some(91.0)), (Some(f64::NAN), Some(50.0)), (None, Some(50.0))] {
         (frame.purpose.ra_deg, frame.purpose.dec_deg) = (ra_deg, dec_deg);
         let (cards, _) = complete(&table(&rows), &frame, EquatorialSystem::J2000, &|_, _| None);
-        assert!(cards.is_empty(), "{ra_deg:?} {dec_deg:?}: {cards:?}");
+        let words: Vec<&str> = cards.keys().map(String::as_str).collect();
+        assert_eq!(words, ["DATE-AVG", "MJD-AVG"], "{ra_deg:?} {dec_deg:?}: {cards:?}");
         let base = base_of(&table(""), &frame, &|_, _| None);
         assert!(!base.contains_key("RA") && !base.contains_key("DEC"), "{ra_deg:?} {dec_deg:?}");
     }
@@ -452,7 +586,8 @@ fn what_a_frame_does_not_have_is_no_keyword_and_what_it_has_fits_its_card() {
     assert!(!cards.contains_key("NIGHT") && !cards.contains_key("PROGID") && !cards.contains_key("FILTER"));
     for programme in ["X".repeat(40), "'".repeat(34), "112.25XK.001".to_owned()] {
         frame.purpose.programme = Some(programme.clone());
-        let known = HeaderFacts { frame: &frame, place: &place(), written: frame.started_utc, newest: &|_, _| None };
+        let (written, sensor) = (frame.started_utc, Sensor::default());
+        let known = HeaderFacts { frame: &frame, place: &place(), written, sensor, newest: &|_, _| None };
         let cards = base(&table(""), &known);
         let card = cards.iter().find(|card| card.keyword == "PROGID").unwrap();
         let record = card.record().unwrap();

@@ -40,7 +40,7 @@ fn written() -> Utc {
 }
 
 fn own(action: &str, template: &str) -> Result<Namer, NameError> {
-    Namer::new(&BTreeMap::from([(action.to_owned(), template.to_owned())]), -70.4)
+    Namer::new(&BTreeMap::from([(action.to_owned(), template.to_owned())]), FileProfile::Plain, -70.4)
 }
 
 fn name_of(namer: &Namer, frame: &Frame) -> String {
@@ -48,8 +48,8 @@ fn name_of(namer: &Namer, frame: &Frame) -> String {
 }
 
 #[test]
-fn default_names_are_those_of_the_predecessor() {
-    let namer = Namer::new(&BTreeMap::new(), -70.4).unwrap();
+fn names_of_an_imported_site_are_those_of_the_predecessor() {
+    let namer = Namer::new(&BTreeMap::new(), FileProfile::Astra, -70.4).unwrap();
     let mut frame = frame();
     assert_eq!(name_of(&namer, &frame), "20261120/andor_I+z_TRAPPIST-1_30.000_20261121_030001.234.fits");
     frame.purpose.action = "calibration".to_owned();
@@ -61,6 +61,51 @@ fn default_names_are_those_of_the_predecessor() {
     frame.purpose.action = "something new".to_owned();
     frame.purpose.image_type = "Unknown Frame".to_owned();
     assert_eq!(name_of(&namer, &frame), "20261120/andor_NA_default_30.000_20261121_030001.234.fits");
+}
+
+/// Each part of a name is a word that no shell and no archive reads otherwise, and names sort by the start of the exposure.
+#[test]
+fn names_are_plain_words_in_the_order_of_exposure() {
+    let namer = Namer::new(&BTreeMap::new(), FileProfile::Plain, -70.4).unwrap();
+    let mut frame = frame();
+    // Read out and written a minute after its exposure began.
+    frame.started_utc = "2026-11-21T02:59:01.2345Z".parse().unwrap();
+    assert_eq!(name_of(&namer, &frame), "20261120/20261121T025901-234_andor_light_TRAPPIST-1_I+z_30s.fits");
+    for (object, filter, exposure_s, expected) in [
+        (Some("NGC 253"), Some("Johnson V"), 0.5, "light_NGC-253_Johnson-V_500ms"),
+        (Some("2M 0746+20.0 (b)"), Some("r'"), 0.00025, "light_2M-0746+20-0-b_r_250us"),
+        (Some("C/2023 A3 _x_"), None, 1.5, "light_C-2023-A3-x_NA_1500ms"),
+        (None, Some("..."), 0.0, "light_NA_NA_0s"),
+        (Some("\u{1F52D}"), Some("V"), f64::NAN, "light_NA_V_NA"),
+    ] {
+        frame.purpose.object = object.map(str::to_owned);
+        frame.purpose.filter = filter.map(str::to_owned);
+        frame.exposure_s = exposure_s;
+        assert_eq!(name_of(&namer, &frame), format!("20261120/20261121T025901-234_andor_{expected}.fits"));
+    }
+    frame = self::frame();
+    (frame.purpose.action, frame.purpose.image_type) = ("pointing".to_owned(), "Acquisition Frame".to_owned());
+    assert_eq!(name_of(&namer, &frame), "20261120/20261121T030001-234_andor_acquisition_TRAPPIST-1_I+z_30s.fits");
+    for (action, image_type, expected) in [
+        ("calibration", "Bias Frame", "20261120/20261121T030001-234_andor_bias_0s.fits"),
+        ("flats", "Flat Frame", "20261120/20261121T030001-234_andor_flat_I+z_0s.fits"),
+        ("autofocus", "Light Frame", "autofocus/20261120/20261121T030001-234_andor_light_I+z_0s.fits"),
+        ("something new", "Strange", "20261120/20261121T030001-234_andor_default_TRAPPIST-1_I+z_0s.fits"),
+    ] {
+        (frame.purpose.action, frame.purpose.image_type) = (action.to_owned(), image_type.to_owned());
+        frame.exposure_s = 0.0;
+        assert_eq!(name_of(&namer, &frame), expected);
+        let name = compressed(PathBuf::from(expected)).file_name().unwrap().to_str().unwrap().to_owned();
+        assert!(name.chars().all(|c| c.is_ascii_alphanumeric() || "_+-.".contains(c)), "{name}");
+        assert_eq!(name.split_once('.').unwrap().1, "fits.fz", "what is behind the first dot is the type of the file");
+    }
+    let names: Vec<String> = ["2026-11-21T02:59:59.999Z", "2026-11-21T03:00:00.001Z", "2026-11-21T10:00:00Z"]
+        .map(|start| {
+            frame.started_utc = start.parse().unwrap();
+            name_of(&namer, &frame)
+        })
+        .into();
+    assert!(names.is_sorted(), "{names:?}");
 }
 
 #[test]
@@ -148,7 +193,7 @@ fn templates_of_the_predecessor_give_the_names_that_they_gave_there() {
         ("flats".to_owned(), "{{ device }}.fits".to_owned()),
         ("focus".to_owned(), "{nonsense".to_owned()),
     ]);
-    let namer = Namer::new(&mixed, 0.0).unwrap();
+    let namer = Namer::new(&mixed, FileProfile::Plain, 0.0).unwrap();
     let mut flat = frame();
     flat.purpose.action = "flats".to_owned();
     assert_eq!(name_of(&namer, &flat), "andor.fits");
@@ -183,6 +228,7 @@ fn a_template_that_cannot_work_is_refused_at_the_start_and_named() {
 fn no_name_from_a_schedule_leaves_the_folder() {
     let namer = Namer::new(
         &BTreeMap::from([("object".to_owned(), "{object_name}/{filter_name}/{device}_{action_type}.fits".to_owned())]),
+        FileProfile::Plain,
         0.0,
     )
     .unwrap();

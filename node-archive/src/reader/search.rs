@@ -83,7 +83,7 @@ pub struct FoundFrames {
 
 /// The words that people use for kinds of frames, in any case, and their IMAGETYP keywords.
 fn image_type(word: &str) -> String {
-    let kinds = ["Light Frame", "Bias Frame", "Dark Frame", "Flat Frame"];
+    let kinds = ["Light Frame", "Acquisition Frame", "Bias Frame", "Dark Frame", "Flat Frame", "Test Frame"];
     let kind = kinds.into_iter().find(|kind| kind.trim_end_matches(" Frame").eq_ignore_ascii_case(word));
     kind.unwrap_or(word).to_owned()
 }

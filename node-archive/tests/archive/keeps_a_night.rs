@@ -327,7 +327,8 @@ async fn a_frame_is_stored_once_released_completed_and_found_again_after_a_resta
     let all = files(&images);
     assert_eq!(all.len(), 1, "{all:?}");
     let name = all[0].file_name().unwrap().to_str().unwrap();
-    assert!(name.starts_with("andor_I+z_.._Bar__ONeil_0.500_") && name.ends_with(".fits"), "{name}");
+    let started = taken.strftime("%Y%m%dT%H%M%S-%3f");
+    assert_eq!(name, format!("{started}_andor_light_Bar-ONeil_I+z_500ms.fits"));
     assert_eq!(images.join(&first.file), all[0]);
     assert_eq!(std::fs::metadata(&all[0]).unwrap().len(), first.bytes);
     let header = Header::read(&all[0]).unwrap().unwrap();

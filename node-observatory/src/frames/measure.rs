@@ -19,7 +19,8 @@ pub fn unmeasured(frame: &Frame) -> FrameFacts {
 
 /// Whether there is light of stars on a frame of this IMAGETYP; darks, biases and flats have none.
 pub fn shows_stars(image_type: &str) -> bool {
-    image_type.get(..5).is_some_and(|begins| begins.eq_ignore_ascii_case("light"))
+    let kind = image_type.split_whitespace().next().unwrap_or_default();
+    ["light", "acquisition"].iter().any(|starry| kind.eq_ignore_ascii_case(starry))
 }
 
 /// Measures the pixels of a frame; `fwhm_px` is the width of the stars on the last frame of this camera and binning.

@@ -18,6 +18,8 @@ use crate::row_context::RowContext;
 
 /// ASTRATYP of the frames that show where the telescope looks.
 pub const ACTION: &str = "pointing";
+/// Their type: they show the target's field, perhaps from beside it, and are no data of the target.
+const ACQUISITION: &str = "Acquisition Frame";
 
 /// A row's way to its target.
 #[derive(Debug, Clone, Copy)]
@@ -118,7 +120,7 @@ async fn frames(
     while way.frames_left > 0 {
         way.frames_left -= 1;
         let words = format!("finding out where it looks, {shot_s} s");
-        let shot = Shot { exposure_s: shot_s, image_type: "Light Frame", words };
+        let shot = Shot { exposure_s: shot_s, image_type: ACQUISITION, words };
         let frame = aside(context, series, &shot, ACTION).await?;
         let looked = look(context, &frame).await;
         let (why, remedy) = match seen(looked.as_deref()) {

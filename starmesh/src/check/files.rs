@@ -81,7 +81,8 @@ impl Look {
     }
 
     fn archive(&mut self, config: &Observatory) {
-        let (_, wrong) = Namer::with_faults(&config.archive.filename, config.place.longitude_deg);
+        let (_, wrong) =
+            Namer::with_faults(&config.archive.filename, config.archive.profile, config.place.longitude_deg);
         for fault in wrong {
             let key = format!("archive.filename.{}", fault.action);
             self.found.push((Severity::Error, key, fault.to_string()));

@@ -5,6 +5,8 @@ use serde_json::json;
 use sky::{EarthOrientation, Icrs, Night, Place};
 use units::{Angle, Utc};
 
+use crate::fields::{FIELDS, NamedField};
+
 /// The place and the time of the demo.
 pub struct DemoNight {
     /// Start of the simulation: a quarter of an hour before sunset.
@@ -18,30 +20,6 @@ pub struct DemoNight {
 
 /// Camera side, pixels; with the simulator's optics a field of about 1.5 deg.
 pub const CAMERA_PX: u32 = 2048;
-
-/// Fields worth looking at, ICRS degrees: name, right ascension, declination.
-const FIELDS: [(&str, f64, f64); 20] = [
-    ("47 Tuc", 6.02, -72.08),
-    ("NGC 253", 11.89, -25.29),
-    ("WASP-18", 24.35, -45.68),
-    ("Pleiades", 56.75, 24.12),
-    ("WASP-79", 66.37, -30.60),
-    ("HATS-6", 84.39, -19.03),
-    ("M 42", 83.82, -5.39),
-    ("NGC 2244", 97.98, 4.94),
-    ("NGC 2516", 119.52, -60.75),
-    ("Praesepe", 130.10, 19.67),
-    ("WASP-43", 154.91, -9.81),
-    ("Eta Carinae", 161.26, -59.68),
-    ("M 104", 189.99, -11.62),
-    ("Omega Cen", 201.70, -47.48),
-    ("NGC 5460", 211.90, -48.30),
-    ("M 4", 245.90, -26.53),
-    ("M 7", 268.46, -34.79),
-    ("M 22", 279.10, -23.90),
-    ("M 2", 323.36, -0.82),
-    ("TRAPPIST-1", 346.62, -5.04),
-];
 
 const SLOTS: u32 = 5;
 /// Seconds are enough for people.
@@ -70,7 +48,7 @@ impl DemoNight {
         self.dusk.plus_seconds(0.55 * self.dawn.seconds_since(self.dusk))
     }
 
-    /// The schedule, JSONL: cool, open, five objects pointed and guided, close, darks, headers.
+    /// The schedule, JSONL: cool, open, five objects pointed and guided, close, flats, darks, headers.
     pub fn schedule(&self) -> anyhow::Result<String> {
         let mut rows = vec!["// the demo's night; the format is described in docs/operator/schedule.md".to_owned()];
         let mut row = |action: &str, value: serde_json::Value, start: Utc, end: Utc| {
@@ -90,23 +68,26 @@ impl DemoNight {
             row("object", value, start, end);
         }
         row("close", json!({}), self.dawn, self.dawn.plus_seconds(3600.0));
+        // Behind the closed cover, which has a lamp.
+        let flats = json!({ "filter": FILTERS, "n": FILTERS.map(|_| 3), "source": "panel" });
+        row("flats", flats, self.dawn.plus_seconds(1.0), self.dawn.plus_seconds(2.0 * 3600.0));
         let calibration = json!({ "exptime": [0.0, 30.0, 120.0], "n": [5, 3, 3] });
-        row("calibration", calibration, self.dawn.plus_seconds(1.0), self.dawn.plus_seconds(2.0 * 3600.0));
-        row("complete_headers", json!({}), self.dawn.plus_seconds(2.0), self.dawn.plus_seconds(12.0 * 3600.0));
+        row("calibration", calibration, self.dawn.plus_seconds(2.0), self.dawn.plus_seconds(2.0 * 3600.0));
+        row("complete_headers", json!({}), self.dawn.plus_seconds(3.0), self.dawn.plus_seconds(12.0 * 3600.0));
         Ok(rows.join("\n") + "\n")
     }
 
     /// Cuts the night into slots and gives each the field that stays highest in it.
     fn slots(&self) -> anyhow::Result<Vec<Slot>> {
         let length_s = (self.dawn.seconds_since(self.dusk) - 600.0) / f64::from(SLOTS);
-        let mut left = FIELDS.to_vec();
+        let mut left: Vec<NamedField> = FIELDS.to_vec();
         let mut slots = Vec::new();
         for slot in 0..SLOTS {
             let start = self.dusk.plus_seconds(300.0 + f64::from(slot) * length_s);
             let end = start.plus_seconds(length_s);
             let mut best: Option<(usize, f64)> = None;
-            for (index, (_, ra_deg, dec_deg)) in left.iter().enumerate() {
-                let field = Icrs::from_degrees(*ra_deg, *dec_deg);
+            for (index, field) in left.iter().enumerate() {
+                let field = Icrs::from_degrees(field.ra_deg, field.dec_deg);
                 let lowest = sky::lowest_altitude(&self.place, &EarthOrientation::default(), &field, start, end)?;
                 let altitude_deg = lowest.altitude.degrees();
                 if best.is_none_or(|(_, highest)| altitude_deg > highest) {
@@ -114,7 +95,7 @@ impl DemoNight {
                 }
             }
             let (index, _) = best.context("no field is left for the demo")?;
-            let (name, ra_deg, dec_deg) = left.swap_remove(index);
+            let NamedField { name, ra_deg, dec_deg, .. } = left.swap_remove(index);
             slots.push((name, ra_deg, dec_deg, start, end));
         }
         Ok(slots)
@@ -157,7 +138,7 @@ listen = "127.0.0.1:{web_port}"
     );
     let blocks = [
         ("telescope", "mount", ""),
-        ("camera", "camera", "temperature_c = -20.0\n"),
+        ("camera", "camera", "temperature_c = -20.0\nread_noise_e = 8.0\n"),
         ("filterwheel", "wheel", ""),
         ("focuser", "focuser", ""),
         ("dome", "dome", "watchdog_s = 120.0\nwatchdog_action = \"feedwatchdog\"\n"),
@@ -194,7 +175,7 @@ mod tests {
         assert!(night.start < night.dusk && night.dusk < night.dawn);
         let cameras = [config.camera[0].common.name.clone()];
         let rows = schedule::parse(&night.schedule().unwrap(), &cameras).unwrap();
-        assert_eq!(rows.len(), 10);
+        assert_eq!(rows.len(), 11);
     }
 
     #[test]

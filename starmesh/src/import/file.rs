@@ -75,9 +75,12 @@ pub fn text(file: &File, about: &About<'_>, notes: &mut Notes) -> String {
     lines.text_of(crate::first_tables::ALERTS);
     lines.table("web");
     lines.key("listen", quoted(&format!("127.0.0.1:{}", PORT + about.index)), "the page");
-    if about.header {
+    if about.header || !is_shared {
         lines.table("archive");
-        lines.key("fits_header", quoted(HEADER), "as it was");
+        lines.key("profile", quoted("astra"), "files are named as before");
+        if about.header {
+            lines.key("fits_header", quoted(HEADER), "as it was");
+        }
     }
     if let Some(catalogue) = about.catalogue.filter(|_| !is_shared) {
         lines.table("imaging");

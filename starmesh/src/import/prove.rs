@@ -82,7 +82,7 @@ pub fn templates(templates: Vec<(usize, String, String)>, notes: &mut Notes) -> 
         }
     }
     // One of them decides how all are read.
-    let (_, faults) = node_archive::name::Namer::with_faults(&own, 0.0);
+    let (_, faults) = node_archive::name::Namer::with_faults(&own, config::FileProfile::Astra, 0.0);
     for fault in faults {
         if let Some(at) = valid.iter().position(|(_, action, _)| *action == fault.action) {
             let (line, action, _) = valid.remove(at);

@@ -151,7 +151,7 @@ fn a_file_name_that_no_frame_can_get_is_listed_and_the_others_stay() {
     let mut notes = Notes::default();
     let node = salvage::read(
         "Telescope: [{device_name: m, ip: \"h:1\", device_number: 0}]\nMisc:\n  filename_templates:\n    \
-         object: \"{action_date}/{object_name}_{exposure}.fits\"\n    flats: \"{action_date}/{night}.fits\"\n    \
+         object: \"{action_date}/{object_name}_{exposure_s}.fits\"\n    flats: \"{action_date}/{night}.fits\"\n    \
          autofocus: \"../{timestamp}.fits\"\n    dark: \"{timestamp}.fits\"\n    default: \"{action_date}/{timestamp}.fits\"\n",
         &mut notes,
     )

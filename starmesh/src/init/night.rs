@@ -6,22 +6,8 @@ use sky::{EarthOrientation, Icrs, Place};
 use units::{Angle, Utc};
 
 use super::place::Surroundings;
+use crate::fields::{FIELDS, M_42, NamedField};
 
-/// Fields without a crowd, ICRS degrees: name, right ascension, declination.
-const FIELDS: [(&str, f64, f64); 12] = [
-    ("M 31", 10.68, 41.27),
-    ("NGC 253", 11.89, -25.29),
-    ("WASP-18", 24.35, -45.68),
-    ("Pleiades", 56.75, 24.12),
-    ("WASP-79", 66.37, -30.60),
-    ("HATS-6", 84.39, -19.03),
-    ("Praesepe", 130.10, 19.67),
-    ("WASP-43", 154.91, -9.81),
-    ("M 104", 189.99, -11.62),
-    ("NGC 5460", 211.90, -48.30),
-    ("HAT-P-11", 297.71, 48.08),
-    ("TRAPPIST-1", 346.62, -5.04),
-];
 /// The field is the highest one for so long from the beginning of the night on.
 const LENGTH_S: f64 = 2.5 * 3600.0;
 /// Its rows may run beyond that while it is higher than this, looked at so often: whoever reads meanwhile, or waits for
@@ -50,21 +36,21 @@ pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::
             "// Where the telescope stands is not known yet, or the Sun does not set there: these rows are comments.\n";
         let start = now.plus_seconds(3600.0);
         let end = start.plus_seconds(LENGTH_S);
-        for line in rows(config, camera, ("M 42", 83.82, -5.39), (start, end, end)) {
+        for line in rows(config, camera, &M_42, (start, end, end)) {
             text += &format!("// {line}\n");
         }
         return Ok(text);
     };
-    let lowest_deg = |(_, ra, dec): &(&str, f64, f64), start: Utc, end: Utc| {
-        let field = Icrs::from_degrees(*ra, *dec);
+    let lowest_deg = |field: &NamedField, start: Utc, end: Utc| {
+        let field = Icrs::from_degrees(field.ra_deg, field.dec_deg);
         let lowest = sky::lowest_altitude(&place, &EarthOrientation::default(), &field, start, end);
         lowest.map_or(-90.0, |lowest| lowest.altitude.degrees())
     };
     let mut observed = dusk.plus_seconds(LENGTH_S).min(dawn);
-    let lowest = |field: &_| lowest_deg(field, dusk, observed);
-    let highest = FIELDS.iter().copied().max_by(|a, b| lowest(a).total_cmp(&lowest(b)));
-    let field = highest.unwrap_or(("M 42", 83.82, -5.39));
-    while observed < dawn && lowest_deg(&field, observed, observed.plus_seconds(STEP_S)) >= LOW_DEG {
+    let lowest = |field: &NamedField| lowest_deg(field, dusk, observed);
+    let sparse = FIELDS.iter().filter(|field| !field.is_crowded);
+    let field = sparse.max_by(|a, b| lowest(a).total_cmp(&lowest(b))).unwrap_or(&M_42);
+    while observed < dawn && lowest_deg(field, observed, observed.plus_seconds(STEP_S)) >= LOW_DEG {
         observed = observed.plus_seconds(STEP_S).min(dawn);
     }
     for line in rows(config, camera, field, (dusk, observed, dawn)) {
@@ -78,7 +64,7 @@ pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::
 fn rows(
     config: &config::Observatory,
     camera: &str,
-    field: (&str, f64, f64),
+    field: &NamedField,
     (dusk, observed, dawn): (Utc, Utc, Utc),
 ) -> Vec<String> {
     let mut lines = Vec::new();
@@ -91,7 +77,7 @@ fn rows(
         lines.push(row.to_string());
     };
     let has = |kind: Kind| config.devices().iter().any(|(known, _)| *known == kind);
-    let (name, ra_deg, dec_deg) = field;
+    let NamedField { name, ra_deg, dec_deg, .. } = *field;
     let later = |seconds: f64| dusk.plus_seconds(seconds);
     if config.camera.first().is_some_and(|camera| camera.temperature_c.is_some()) {
         row("The camera is cooled to camera.temperature_c.", "cool_camera", json!({}), later(-1800.0), dawn);

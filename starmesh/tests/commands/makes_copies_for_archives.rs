@@ -98,7 +98,7 @@ fn files_that_cannot_be_read_are_named_and_the_others_are_checked() {
 #[test]
 fn wrong_options_are_refused_with_what_was_expected() {
     let wrong = starmesh(["fits", "check", "--profile", "esa", "a.fits"]);
-    assert!(!wrong.success && wrong.err.contains("expected astra, eso or lco"), "{}", wrong.err);
+    assert!(!wrong.success && wrong.err.contains("expected astra, plain, eso or lco"), "{}", wrong.err);
     let wrong = starmesh(["fits", "convert", "--profile", "eso", "--out", "x", "--set", "INSTRUME", "a.fits"]);
     assert!(!wrong.success && wrong.err.contains("expected KEYWORD=VALUE"), "{}", wrong.err);
     let wrong = starmesh(["fits", "convert", "--profile", "eso", "a.fits"]);

@@ -168,7 +168,8 @@ pub struct Purpose {
     /// OBJECT keyword.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub object: Option<String>,
-    /// IMAGETYP keyword: `Light Frame`, `Dark Frame`, `Bias Frame`, `Flat Frame`.
+    /// IMAGETYP keyword: `Light Frame`, `Acquisition Frame`, `Dark Frame`, `Bias Frame`, `Flat Frame`, or
+    /// `Test Frame`, which shows how bright a flat would be.
     pub image_type: String,
     /// Name of the filter in the beam.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -115,7 +115,7 @@ pub(super) fn violations(cards: &CardList, profile: &Profile) -> Vec<Violation> 
         }
     }
     if kind(cards).is_none() {
-        let expected = "Light Frame, Bias Frame, Dark Frame or Flat Frame".to_owned();
+        let expected = "Light Frame, Acquisition Frame, Bias Frame, Dark Frame, Flat Frame or Test Frame".to_owned();
         let rule = "the rules of a frame depend on its type".to_owned();
         let is_blank = |value: &&Value| matches!(value, Value::Text(text) if text.trim().is_empty());
         let value = cards.value("IMAGETYP").filter(|value| !is_blank(value)).map(written);
@@ -130,7 +130,7 @@ fn some<'a>(rules: impl Iterator<Item = &'a KeywordRule>) -> Option<Vec<&'a Keyw
 }
 
 /// What archives refuse of any header: keywords twice, characters that FITS has not, coordinates in two forms.
-fn of_standard(cards: &CardList) -> Vec<Violation> {
+pub(super) fn of_standard(cards: &CardList) -> Vec<Violation> {
     let mut found = Vec::new();
     let mut report = |keyword: &str, value: String, expected: &str, section: &str| {
         let (keyword, expected, rule) = (keyword.to_owned(), expected.to_owned(), format!("{STANDARD}, {section}"));

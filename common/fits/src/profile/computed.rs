@@ -16,8 +16,12 @@ type Compute = fn(&CardList, &str) -> Option<Value>;
 pub(super) const COMPUTED: [(&str, Compute, &str); 15] = [
     ("@file_name", |_, file| Some(text(file)), "the name of our file"),
     ("@file_tail", |_, file| Some(text(tail(file))), "the name of our file, its last 68 characters"),
-    ("@kind", |cards, _| kind(cards).map(text), "science, technical, bias, dark or flat, of IMAGETYP and ASTRATYP"),
-    ("@letter", |cards, _| letter(cards).map(text), "LCO's letter of the kind: e, x, b, d or f"),
+    (
+        "@kind",
+        |cards, _| kind(cards).map(text),
+        "science, acquisition, technical, test, bias, dark or flat, of IMAGETYP and ASTRATYP",
+    ),
+    ("@letter", |cards, _| letter(cards).map(text), "LCO's letter of the kind: e, g, x, b, d or f"),
     ("@start", |cards, _| Some(text(start(cards)?.strftime("%Y-%m-%dT%H_%M_%S.%3f"))), "DATE-OBS to the millisecond"),
     ("@start_digits", |cards, _| Some(text(start(cards)?.strftime("%H%M%S%3f"))), "time of DATE-OBS, only digits"),
     ("@mjd_obs", |cards, _| Some(Value::Number(start(cards)?.mjd())), "of DATE-OBS"),
@@ -36,18 +40,21 @@ pub(super) fn computed(name: &str, cards: &CardList, file: &str) -> Option<Value
     COMPUTED.iter().find(|(known, ..)| *known == name).and_then(|(_, compute, _)| compute(cards, file))
 }
 
-/// The kind of a frame: bias, dark or flat; technical for what observes the telescope itself; else science.
+/// The kind of a frame: bias, dark or flat; acquisition for what shows whether the target is in the field; technical for
+/// what observes the telescope itself; test for what shows how bright a flat would be; else science.
 pub(super) fn kind(cards: &CardList) -> Option<&'static str> {
     let image_type = cards.text("IMAGETYP")?.to_ascii_lowercase();
-    let is_technical = || {
-        let action = cards.text("ASTRATYP").unwrap_or_default();
-        matches!(action, "autofocus" | "calibrate_guiding" | "pointing_model" | "guiding")
-    };
+    let action = cards.text("ASTRATYP").unwrap_or_default();
+    let is_technical = matches!(action, "autofocus" | "calibrate_guiding" | "pointing_model" | "guiding");
     Some(match image_type.split_whitespace().next()? {
         "bias" => "bias",
         "dark" => "dark",
         "flat" => "flat",
-        "light" | "object" | "science" if is_technical() => "technical",
+        "acquisition" => "acquisition",
+        "test" => "test",
+        "light" | "object" | "science" if is_technical => "technical",
+        // Of a release before acquisition frames had a type of their own.
+        "light" | "object" | "science" if action == "pointing" => "acquisition",
         "light" | "object" | "science" => "science",
         _ => return None,
     })
@@ -58,7 +65,8 @@ fn letter(cards: &CardList) -> Option<&'static str> {
         "bias" => "b",
         "dark" => "d",
         "flat" => "f",
-        "technical" => "x",
+        "acquisition" => "g",
+        "technical" | "test" => "x",
         _ => "e",
     })
 }

@@ -9,7 +9,7 @@ use std::io::{self, BufWriter, ErrorKind, Read, Seek as _, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use super::cards::{CardEntry, CardList};
-use super::check::{Violation, public_at_once, violations, wrong_sums, wrong_sums_behind};
+use super::check::{Violation, of_standard, public_at_once, violations, wrong_sums, wrong_sums_behind};
 use super::convert::{convert, file_name, value_without_form};
 use super::source::SourceFile;
 use super::{Profile, SUMS, is_structural};
@@ -177,7 +177,7 @@ fn made_header(
         known.set(set_by_caller(keyword, value, is_text)?);
     }
     let made = convert(&known, &source_name, profile);
-    let mut found = violations(&made, profile);
+    let mut found = if profile.advice { of_standard(&made) } else { violations(&made, profile) };
     if !found.is_empty() {
         found.iter_mut().for_each(|violation| explain_missing(violation, &known, &source_name, profile));
         return Err(DeliveryError::Violations { file: source.to_owned(), violations: found });

@@ -136,7 +136,7 @@ fn every_embedded_profile_can_be_used_and_asks_for_nothing_that_is_not_computed(
     }
     assert_eq!(
         "esa".parse::<ProfileName>().unwrap_err().to_string(),
-        "\"esa\" is no profile; expected astra, eso or lco"
+        "\"esa\" is no profile; expected astra, plain, eso or lco"
     );
     assert!(page().unwrap().contains("| `BLKUID` | all | `BLKUID`, else `@block` |"));
 }

@@ -1,0 +1,76 @@
+//! Targets of the demo and of the schedule that `init` writes: places of catalogues, to 0.1 arcsec.
+//!
+//! Stars are hosts of transiting planets, with their places at epoch 2000.0 by the catalogue that is shipped (Gaia DR3 and
+//! Tycho-2), so that each is on the frame, where a light curve finds it. All others are places of OpenNGC.
+
+/// A target.
+#[derive(Debug, Clone, Copy)]
+pub struct NamedField {
+    /// Its name.
+    pub name: &'static str,
+    /// Right ascension, ICRS, degrees.
+    pub ra_deg: f64,
+    /// Declination, ICRS, degrees.
+    pub dec_deg: f64,
+    /// Stars stand close together: a field for looking at, and a bad first one to point at.
+    pub is_crowded: bool,
+}
+
+const fn sparse(name: &'static str, ra_deg: f64, dec_deg: f64) -> NamedField {
+    NamedField { name, ra_deg, dec_deg, is_crowded: false }
+}
+
+const fn crowded(name: &'static str, ra_deg: f64, dec_deg: f64) -> NamedField {
+    NamedField { name, ra_deg, dec_deg, is_crowded: true }
+}
+
+/// Where nothing is known of a place.
+pub const M_42: NamedField = crowded("M 42", 83.818667, -5.389667);
+
+/// All of them.
+pub const FIELDS: [NamedField; 22] = [
+    crowded("47 Tuc", 6.022333, -72.081444),
+    sparse("M 31", 10.684792, 41.269056),
+    sparse("NGC 253", 11.888, -25.288222),
+    sparse("WASP-18", 24.354298, -45.677874),
+    sparse("WASP-33", 36.712744, 37.550484),
+    sparse("Pleiades", 56.869167, 24.105278),
+    sparse("WASP-79", 66.370903, -30.600439),
+    M_42,
+    crowded("NGC 2244", 97.9815, 4.942944),
+    sparse("WASP-121", 107.600243, -39.097374),
+    crowded("NGC 2516", 119.529417, -60.753472),
+    sparse("Praesepe", 130.0925, 19.672056),
+    sparse("WASP-166", 144.875351, -20.982468),
+    crowded("Eta Carinae", 161.285542, -59.866694),
+    sparse("M 104", 189.997625, -11.623056),
+    crowded("Omega Cen", 201.691208, -47.476861),
+    sparse("NGC 5460", 211.865875, -48.342528),
+    crowded("M 4", 245.8975, -26.525528),
+    crowded("M 7", 268.46325, -34.792833),
+    crowded("M 22", 279.100833, -23.903417),
+    sparse("HAT-P-11", 297.709356, 48.080868),
+    sparse("HD 209458", 330.794892, 18.884323),
+];
+
+#[cfg(test)]
+mod tests {
+    use units::Angle;
+
+    use super::*;
+
+    /// A star beside its place is out of the aperture, or out of the frame.
+    #[test]
+    fn each_star_is_where_the_shipped_catalogue_has_it() {
+        let mut count = 0;
+        for field in
+            FIELDS.iter().filter(|field| ["WASP", "HAT-P", "HD "].iter().any(|word| field.name.starts_with(word)))
+        {
+            let [ra, dec, radius] = [field.ra_deg, field.dec_deg, 0.1 / 3600.0].map(Angle::from_degrees);
+            let near = catalogue::shipped().cone(ra, dec, radius, 12.0, 2000.0);
+            assert_eq!(near.len(), 1, "{}", field.name);
+            count += 1;
+        }
+        assert_eq!(count, 7);
+    }
+}
