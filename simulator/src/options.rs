@@ -4,7 +4,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 
 use units::{Angle, Utc};
 
-use crate::clock::wall_clock;
+use crate::clock::{SkyClock, wall_clock};
 use crate::transit::Transit;
 
 /// A simulated observatory.
@@ -20,6 +20,8 @@ pub struct Options {
     pub start: Utc,
     /// Sky seconds per machine second; 1 is real time.
     pub speed: f64,
+    /// The clock of another observatory under the same sky, which goes already; None: one of its own, by start and speed.
+    pub clock: Option<SkyClock>,
     /// Chance itself: the same seed gives the same weather, hot pixels, scatter and faint stars.
     pub seed: u64,
     /// Geodetic latitude of the site, north positive.
@@ -222,6 +224,7 @@ impl Default for Options {
             name: "Starmesh simulator".to_owned(),
             start: wall_clock(),
             speed: 1.0,
+            clock: None,
             seed: 1,
             latitude: Angle::from_degrees(-24.6272),
             longitude: Angle::from_degrees(-70.4042),

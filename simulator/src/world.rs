@@ -68,7 +68,7 @@ impl World {
         Ok(Self {
             name: options.name.clone(),
             kinds: Kind::ALL.into_iter().chain(options.guide_camera.map(|_| Kind::GuideCamera)).collect(),
-            clock: Mutex::new(SkyClock::at(options.start, options.speed)),
+            clock: Mutex::new(options.clock.unwrap_or_else(|| SkyClock::at(options.start, options.speed))),
             inner: Mutex::new(inner),
             transactions: AtomicU32::new(0),
         })

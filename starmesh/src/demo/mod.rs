@@ -1,5 +1,7 @@
-//! `starmesh demo`: one simulated night through the real nodes, as processes, on a bus of their own.
+//! `starmesh demo`: one simulated night of one or several telescopes through the real nodes, as processes, on a bus of their
+//! own.
 
+mod happenings;
 mod progress;
 mod site;
 
@@ -10,30 +12,35 @@ use std::time::Duration;
 use anyhow::Context as _;
 use bus::{Bus, Clock};
 use clap::Args;
-use contract::Role;
+use contract::{Address, Role};
 use simulator::Simulator;
+use tokio::task::JoinSet;
 use units::Utc;
 
 use crate::running;
 use crate::supervise::{NodeProcess, end};
-use progress::Progress;
-use site::DemoNight;
+use happenings::{bad_night, happenings, play};
+use progress::{Progress, summary};
+use site::Plan;
 
 /// Options of `starmesh demo`.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Sky seconds per machine second; a night at 300 takes about two minutes.
-    #[arg(long, default_value_t = 300.0)]
-    speed: f64,
+    /// Telescopes, 1 to 4: from the third on at a second site with its own weather, and the second one has a bad night.
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    telescopes: usize,
+    /// Sky seconds per machine second; a night at 300 takes about two minutes. 300 for one telescope, 150 for several.
+    #[arg(long)]
+    speed: Option<f64>,
     /// Port of the page; a free one where absent and 8080 is taken.
     #[arg(long)]
     port: Option<u16>,
     /// Keep the configuration, FITS files, database and logs here; a new or empty folder.
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
-    /// Side of the simulated camera, pixels.
-    #[arg(long, default_value_t = site::CAMERA_PX)]
-    size_px: u32,
+    /// Side of the simulated cameras, pixels; 2048 for one telescope, 768 for several.
+    #[arg(long)]
+    size_px: Option<u32>,
     /// When the night has ended, go on serving the page until Ctrl-C.
     #[arg(long)]
     stay: bool,
@@ -41,56 +48,73 @@ pub struct Options {
 
 const USUAL_PORT: u16 = 8080;
 
+/// Speed, and side of the cameras in pixels: of one telescope, and of several on a machine of two processors.
+const ALONE: (f64, u32) = (300.0, 2048);
+const SEVERAL: (f64, u32) = (150.0, 768);
+
 /// Runs the night; an error when it did not go well.
 pub async fn run(options: Options) -> anyhow::Result<()> {
-    anyhow::ensure!((1.0..=2000.0).contains(&options.speed), "--speed {}: expected 1 to 2000", options.speed);
-    anyhow::ensure!((64..=8192).contains(&options.size_px), "--size-px {}: expected 64 to 8192", options.size_px);
+    let usual = if options.telescopes > 1 { SEVERAL } else { ALONE };
+    let (speed, size_px) = (options.speed.unwrap_or(usual.0), options.size_px.unwrap_or(usual.1));
+    let most = site::MOST_TELESCOPES;
+    anyhow::ensure!(
+        (1..=most).contains(&options.telescopes),
+        "--telescopes {}: expected 1 to {most}",
+        options.telescopes
+    );
+    anyhow::ensure!((1.0..=2000.0).contains(&speed), "--speed {speed}: expected 1 to 2000");
+    anyhow::ensure!((64..=8192).contains(&size_px), "--size-px {size_px}: expected 64 to 8192");
     let port = page_port(options.port)?;
     let folder = Folder::new(options.keep.as_deref())?;
-    observe(&options, port, &folder).await?;
+    observe(&options, (speed, size_px), port, &folder).await?;
     folder.end();
     Ok(())
 }
 
-async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Result<()> {
-    let mut world = simulator::Options { speed: options.speed, ..Default::default() };
-    world.dome.watchdog_s = Some(120.0);
-    // Rows ask for 0.3 arcmin: this mount repeats its slews to less than that, as most do.
-    world.mount.scatter_arcsec = 1.0;
-    // The same field of 1.5 deg, whatever the camera's size.
-    world.camera.pixel_um *= f64::from(world.camera.width) / f64::from(options.size_px);
-    (world.camera.width, world.camera.height) = (options.size_px, options.size_px);
-    let night = DemoNight::next(world.latitude, world.longitude, world.elevation_m, Clock::machine_clock().utc())?;
-    world.start = night.start;
-    let simulator = Simulator::start(world.clone()).await?;
+async fn observe(options: &Options, (speed, size_px): (f64, u32), port: u16, folder: &Folder) -> anyhow::Result<()> {
+    let plans = Plan::of(options.telescopes, Clock::machine_clock().utc())?;
+    let start = plans.iter().map(|plan| plan.night.start).min().context("no telescope")?;
+    let dawn = plans.iter().map(|plan| plan.night.dawn).max().context("no telescope")?;
+    let simulators = simulate(&plans, start, speed, size_px).await?;
+    let stations = stations(&plans, &simulators, port, folder)?;
+    let first = stations.first().context("no telescope")?;
 
-    let config_file = folder.path.join("observatory.toml");
-    write(&config_file, &site::configuration(simulator.address(), port, &world))?;
-    write(&folder.path.join("schedule.jsonl"), &night.schedule()?)?;
-    let (config, _) = node::configuration::read_config(&config_file)?;
-
-    let clock = Clock::of_simulator(&format!("http://{}", simulator.address())).await?;
-    let bus = Bus::open(&config.bus, clock.clone()).await?;
+    let clock = match simulators.first() {
+        Some(simulator) => Clock::of_simulator(&format!("http://{}", simulator.address())).await?,
+        None => anyhow::bail!("no simulator"),
+    };
+    let bus = Bus::open(&first.config.bus, clock.clone()).await?;
     let endpoint = bus.locators().await.into_iter().find(|locator| locator.contains("127.0.0.1"));
     let endpoint = endpoint.context("the demo's own bus listens nowhere")?;
-    let mut progress = Progress::listen(&bus, &config.address()).await?;
-    let nodes = Nodes::start(folder, &config_file, &config, &endpoint)?;
-    let _running = running::announce("demo", &config.address(), &endpoint, &folder.path);
+    let mut nights = Vec::new();
+    for (index, plan) in plans.iter().enumerate() {
+        let address = Address::new(plan.telescope.site, plan.telescope.name)?;
+        let alone = plans.len() == 1;
+        let listen = Progress::listen(&bus, &address, alone, bad_night(&plans) == Some(index)).await?;
+        nights.push((listen, plan.night));
+    }
+    let nodes = Nodes::start(&stations, &endpoint)?;
+    let _running = running::announce("demo", &first.config.address(), &endpoint, &folder.path);
 
-    let total_s = night.dawn.seconds_since(night.start) / options.speed;
-    println!("one night of {} at speed {}, about {:.0} s", config.address(), options.speed, total_s);
+    let total_s = dawn.seconds_since(start) / speed;
+    let names: Vec<String> =
+        plans.iter().map(|plan| format!("{}/{}", plan.telescope.site, plan.telescope.name)).collect();
+    println!("one night of {} at speed {speed}, about {total_s:.0} s", names.join(", "));
     println!("  page      http://127.0.0.1:{port}/");
-    println!("  files     {}", folder.path.join("images").display());
-    println!("  database  {}", folder.path.join("data").join("archive.db").display());
-    println!("  logs      {}", folder.path.display());
+    if plans.len() == 1 {
+        println!("  files     {}", folder.path.join("images").display());
+        println!("  database  {}", folder.path.join("data").join("archive.db").display());
+        println!("  logs      {}", folder.path.display());
+    } else {
+        println!("  files, databases and logs: a folder of each telescope in {}", folder.path.display());
+    }
     println!(
         "  bus       {endpoint} (for other programs; `starmesh status`, `tail` and `order` find it by themselves)"
     );
-    let shower = shower(&simulator, &clock, night.shower());
+    let script = play(happenings(&plans, speed), &plans, &simulators, &clock);
     let well = tokio::select! {
-        ended = progress.follow(night.start, night.dawn) => {
-            ended?;
-            let (summary, well) = progress.summary();
+        ended = follow(nights) => {
+            let (summary, well) = summary(&ended?);
             println!("{summary}");
             if options.stay {
                 println!("the page stays at http://127.0.0.1:{port}/ ; Ctrl-C ends");
@@ -98,7 +122,7 @@ async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Resul
             }
             well
         }
-        () = shower => true,
+        () = script => true,
         interrupted = tokio::signal::ctrl_c() => {
             interrupted?;
             println!("\ninterrupted; the nodes close what is open, and end");
@@ -106,54 +130,129 @@ async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Resul
         }
     };
     nodes.stop().await?;
-    simulator.stop().await;
+    for simulator in simulators {
+        simulator.stop().await;
+    }
     bus.close().await;
     anyhow::ensure!(well, "the night did not go well; the summary above and the logs say where");
     Ok(())
 }
 
-/// A shower of twelve minutes in the middle of the night, so that everyone sees a dome close and open again.
-async fn shower(simulator: &Simulator, clock: &Clock, at: Utc) {
-    let wait_s = at.seconds_since(clock.utc()).max(0.0);
-    clock.sleep_sky(Duration::from_secs_f64(wait_s)).await;
-    simulator.world().rain(true);
-    clock.sleep_sky(Duration::from_secs(720)).await;
-    simulator.world().rain(false);
-    std::future::pending::<()>().await;
+/// A simulated observatory for each telescope, all under one clock.
+async fn simulate(plans: &[Plan], start: Utc, speed: f64, size_px: u32) -> anyhow::Result<Vec<Simulator>> {
+    let mut simulators: Vec<Simulator> = Vec::new();
+    for plan in plans {
+        let mut world = plan.world(start, speed, size_px);
+        world.clock = simulators.first().map(|first| first.world().clock());
+        simulators.push(Simulator::start(world).await?);
+    }
+    Ok(simulators)
 }
 
-/// The node processes, the observatory node last; dropping them ends them through their standard input.
+/// Follows the nights of all telescopes until each has ended.
+async fn follow(nights: Vec<(Progress, site::DemoNight)>) -> anyhow::Result<Vec<Progress>> {
+    let mut followed = JoinSet::new();
+    for (index, (mut progress, night)) in nights.into_iter().enumerate() {
+        followed.spawn(async move {
+            let ended = progress.follow(night.start, night.dawn).await;
+            (index, progress, ended)
+        });
+    }
+    let mut all = Vec::new();
+    for (index, progress, ended) in followed.join_all().await {
+        ended?;
+        all.push((index, progress));
+    }
+    all.sort_by_key(|(index, _)| *index);
+    Ok(all.into_iter().map(|(_, progress)| progress).collect())
+}
+
+/// The nodes of one configuration file.
+struct Station {
+    folder: PathBuf,
+    file: PathBuf,
+    config: config::Observatory,
+    roles: Vec<Role>,
+}
+
+impl Station {
+    fn new(folder: PathBuf, configuration: &str, roles: &[Role]) -> anyhow::Result<Self> {
+        std::fs::create_dir_all(&folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        let file = folder.join("observatory.toml");
+        write(&file, configuration)?;
+        let (config, _) = node::configuration::read_config(&file)?;
+        Ok(Self { folder, file, config, roles: roles.to_vec() })
+    }
+
+    fn nodes(&self, role: Role) -> Vec<&str> {
+        match role {
+            _ if !self.roles.contains(&role) => Vec::new(),
+            // The node of the enclosure is started last and ends first.
+            Role::Device => self.config.device_nodes().into_iter().rev().collect(),
+            _ => vec![config::MAIN_NODE],
+        }
+    }
+}
+
+/// Writes the files of all telescopes, and of what the telescopes of each site share. The first one serves the page.
+fn stations(plans: &[Plan], simulators: &[Simulator], port: u16, folder: &Folder) -> anyhow::Result<Vec<Station>> {
+    let mut stations = Vec::new();
+    for (index, (plan, simulator)) in plans.iter().zip(simulators).enumerate() {
+        let (site, name) = (plan.telescope.site, plan.telescope.name);
+        let own = if plans.len() == 1 { folder.path.clone() } else { folder.path.join(format!("{site}-{name}")) };
+        let web = (index == 0).then_some(port);
+        let roles = [Role::Device, Role::Observatory, Role::Archive, Role::Web];
+        let roles = if web.is_some() { &roles[..] } else { &roles[..3] };
+        let station = Station::new(own, &plan.configuration(simulator.address(), web), roles)?;
+        write(&station.folder.join("schedule.jsonl"), &plan.schedule())?;
+        stations.push(station);
+        if plan.shares && plan.is_first_of_site() {
+            let shared = plan.shared_configuration(simulator.address());
+            stations.push(Station::new(folder.path.join(format!("{site}-shared")), &shared, &[Role::Device])?);
+        }
+    }
+    Ok(stations)
+}
+
+/// The node processes by role, those of the observatories last; dropping them ends them through their standard input.
 struct Nodes {
-    children: Vec<tokio::process::Child>,
+    children: Vec<Vec<tokio::process::Child>>,
 }
 
 impl Nodes {
-    fn start(folder: &Folder, file: &Path, config: &config::Observatory, endpoint: &str) -> anyhow::Result<Self> {
-        // They end in the other order: archive and web are the last, which send and store what the others report.
-        let mut nodes = [Role::Web, Role::Archive].map(|role| (role, config::MAIN_NODE)).to_vec();
-        nodes.extend(config.device_nodes().into_iter().rev().map(|id| (Role::Device, id)));
-        nodes.push((Role::Observatory, config::MAIN_NODE));
-        let start = |(role, id): (Role, &str)| {
-            let log = if role == Role::Device { format!("{role}-{id}.log") } else { format!("{role}.log") };
-            let process = NodeProcess {
-                role,
-                id: id.to_owned(),
-                config: file.to_owned(),
-                arguments: vec!["--connect".to_owned(), endpoint.to_owned()],
-                log: Some(folder.path.join(log)),
-                with_parent: true,
-                left: None,
-                reports: None,
+    fn start(stations: &[Station], endpoint: &str) -> anyhow::Result<Self> {
+        // They end in the other order: archives and web are the last, which send and store what the others report.
+        let start = |role: Role| {
+            let nodes =
+                stations.iter().flat_map(|station| station.nodes(role).into_iter().map(move |id| (station, id)));
+            let spawn = |(station, id): (&Station, &str)| {
+                let log = if role == Role::Device { format!("{role}-{id}.log") } else { format!("{role}.log") };
+                let process = NodeProcess {
+                    role,
+                    id: id.to_owned(),
+                    config: station.file.clone(),
+                    arguments: vec!["--connect".to_owned(), endpoint.to_owned()],
+                    log: Some(station.folder.join(log)),
+                    with_parent: true,
+                    left: None,
+                    reports: None,
+                };
+                process.spawn()
             };
-            process.spawn()
+            nodes.map(spawn).collect::<anyhow::Result<Vec<_>>>()
         };
-        Ok(Self { children: nodes.into_iter().map(start).collect::<anyhow::Result<_>>()? })
+        let roles = [Role::Web, Role::Archive, Role::Device, Role::Observatory];
+        Ok(Self { children: roles.into_iter().map(start).collect::<anyhow::Result<_>>()? })
     }
 
-    /// Stops them, the observatory first.
+    /// Stops them, the observatories first; those of one role together.
     async fn stop(self) -> anyhow::Result<()> {
-        for child in self.children.into_iter().rev() {
-            end(child, Duration::from_secs(25)).await?;
+        for of_role in self.children.into_iter().rev() {
+            let mut ending: JoinSet<anyhow::Result<()>> =
+                of_role.into_iter().map(|child| end(child, Duration::from_secs(25))).collect();
+            while let Some(ended) = ending.join_next().await {
+                ended??;
+            }
         }
         Ok(())
     }

@@ -22,6 +22,11 @@ pub struct Progress {
     diary: Subscriber<DiaryLine>,
     facts: Facts,
     live_line: bool,
+    address: Address,
+    /// It is the only telescope: its lines need no name.
+    alone: bool,
+    /// Something of it fails on purpose.
+    has_fault: bool,
 }
 
 /// The numbers of the summary.
@@ -44,7 +49,7 @@ pub struct Facts {
 
 impl Progress {
     /// Subscribes to the states of a telescope's nodes.
-    pub async fn listen(bus: &Bus, address: &Address) -> anyhow::Result<Self> {
+    pub async fn listen(bus: &Bus, address: &Address, alone: bool, has_fault: bool) -> anyhow::Result<Self> {
         let part = |part| Topic::Observatory(part).at(address);
         Ok(Self {
             night: bus.subscribe(part(Part::Night), Catch::Newest, 64).await?,
@@ -55,7 +60,10 @@ impl Progress {
             stored: bus.subscribe(Topic::Stored.at(address), Catch::All, 4096).await?,
             diary: bus.subscribe(Topic::Node(NodeTopic::Diary).at(address), Catch::All, 4096).await?,
             facts: Facts::default(),
-            live_line: std::io::stdout().is_terminal(),
+            live_line: alone && std::io::stdout().is_terminal(),
+            address: address.clone(),
+            alone,
+            has_fault,
         })
     }
 
@@ -115,8 +123,14 @@ impl Progress {
         Ok(())
     }
 
-    /// The archive may still be busy when the night has ended.
+    /// The archive may still be busy when the night has ended, and the last row's state on its way.
     async fn last_headers(&mut self) {
+        while self.facts.rows.iter().any(|(_, status, _)| *status == RowStatus::Running) {
+            match tokio::time::timeout(Duration::from_secs(5), self.schedule.recv()).await {
+                Ok(received) => self.rows(received.sample.at_utc, received.sample.body),
+                Err(_) => break,
+            }
+        }
         while (self.facts.complete.len() as u64) < self.facts.frames {
             match tokio::time::timeout(Duration::from_secs(20), self.stored.recv()).await {
                 Ok(received) => self.stored(received.sample.body),
@@ -204,38 +218,79 @@ impl Progress {
 
     fn print(&self, at: Utc, line: &str) {
         let clear = if self.live_line { "\r\x1b[2K" } else { "" };
-        println!("{clear}{}  {}", at.strftime("%H:%M:%S"), printable(line));
+        let name = if self.alone { String::new() } else { format!("{:<13} ", self.address.to_string()) };
+        println!("{clear}{}  {name}{}", at.strftime("%H:%M:%S"), printable(line));
     }
 
-    /// The summary, and whether the night went well.
-    pub fn summary(&self) -> (String, bool) {
-        let facts = &self.facts;
-        let closed =
-            facts.last.as_ref().is_some_and(|(_, night, _)| night.posture == contract::observatory::Posture::Closed);
-        let unfinished: Vec<String> = facts
-            .rows
-            .iter()
-            .filter(|(_, status, _)| *status != RowStatus::Finished)
-            .map(|(name, status, detail)| {
-                format!("    {}: {} {}", printable(name), format!("{status:?}").to_lowercase(), printable(detail))
-            })
-            .collect();
-        let text = format!(
-            "\nsummary\n  frames taken      {}\n  files stored      {}\n  headers complete  {}\n  dome open         {:.1} h, closed {} times, {} now\n  fields guided     {}\n  rows finished     {} of {}\n  alerts            {}\n  errors            {}\n{}",
-            facts.frames,
-            facts.stored.len(),
-            facts.complete.len(),
-            facts.open_s / 3600.0,
-            facts.closings,
-            if closed { "closed" } else { "NOT CLOSED" },
-            facts.guided,
-            facts.rows.len() - unfinished.len(),
-            facts.rows.len(),
-            facts.alerts.len(),
-            facts.errors,
-            unfinished.join("\n"),
-        );
-        let well = closed && facts.frames > 0 && facts.complete.len() as u64 == facts.frames && facts.errors == 0;
-        (text, well)
+    fn is_closed(&self) -> bool {
+        let posture = self.facts.last.as_ref().map(|(_, night, _)| night.posture);
+        posture == Some(contract::observatory::Posture::Closed)
     }
+
+    /// A telescope of which something fails on purpose has errors, and an alert about it.
+    fn went_well(&self) -> bool {
+        let facts = &self.facts;
+        let whole = facts.frames > 0 && facts.complete.len() as u64 == facts.frames;
+        let as_expected = if self.has_fault { !facts.alerts.is_empty() } else { facts.errors == 0 };
+        self.is_closed() && whole && as_expected
+    }
+
+    /// Its figures, in the order of [`FIGURES`].
+    fn figures(&self) -> [String; 9] {
+        let facts = &self.facts;
+        let finished = facts.rows.iter().filter(|(_, status, _)| *status == RowStatus::Finished).count();
+        let now = if self.is_closed() { "closed" } else { "NOT CLOSED" };
+        [
+            facts.frames.to_string(),
+            facts.stored.len().to_string(),
+            facts.complete.len().to_string(),
+            format!("{:.1} h", facts.open_s / 3600.0),
+            format!("{} times, {now} now", facts.closings),
+            facts.guided.to_string(),
+            format!("{finished} of {}", facts.rows.len()),
+            facts.alerts.len().to_string(),
+            facts.errors.to_string(),
+        ]
+    }
+
+    fn unfinished(&self) -> impl Iterator<Item = String> {
+        let rows = self.facts.rows.iter().filter(|(_, status, _)| *status != RowStatus::Finished);
+        rows.map(|(name, status, detail)| {
+            format!("    {}: {} {}", printable(name), format!("{status:?}").to_lowercase(), printable(detail))
+        })
+    }
+}
+
+/// What the summary says of each telescope.
+const FIGURES: [&str; 9] = [
+    "frames taken",
+    "files stored",
+    "headers complete",
+    "dome open",
+    "dome closed",
+    "fields guided",
+    "rows finished",
+    "alerts",
+    "errors",
+];
+
+/// The summary of all telescopes, one column each, and whether their nights went well.
+pub fn summary(nights: &[Progress]) -> (String, bool) {
+    let columns: Vec<[String; 9]> = nights.iter().map(Progress::figures).collect();
+    let mut text = "\nsummary".to_owned();
+    if nights.len() > 1 {
+        let names: String = nights.iter().map(|night| format!("  {:<21}", night.address.to_string())).collect();
+        text.push_str(&format!("{:<11}{}", "", names.trim_end()));
+    }
+    for (index, name) in FIGURES.into_iter().enumerate() {
+        let figures: String = columns.iter().map(|column| format!("  {:<21}", column[index])).collect();
+        text.push_str(&format!("\n  {name:<16}{}", figures.trim_end()));
+    }
+    for night in nights {
+        let of = if nights.len() > 1 { format!(" of {}", night.address) } else { String::new() };
+        for row in night.unfinished() {
+            text.push_str(&format!("\n{row}{of}"));
+        }
+    }
+    (text, nights.iter().all(Progress::went_well))
 }
