@@ -40,14 +40,15 @@ async function fromDisk(node, url, at) {
   const server = http.createServer((request, response) => {
     const forward = http.request(asked(request), (answer) => {
       const { pathname } = new URL(request.url, url);
-      const file = join(assets, pathname.startsWith("/assets/") ? pathname.slice("/assets/".length) : "index.html");
-      if (![200, 404].includes(answer.statusCode) || /^\/(api|lite|metrics|problems|healthz|readyz|version)/.test(pathname) || !existsSync(file)) {
+      const isLogin = answer.statusCode === 401;
+      const file = join(assets, pathname.startsWith("/assets/") ? pathname.slice("/assets/".length) : isLogin ? "login.html" : "index.html");
+      if (![200, 401, 404].includes(answer.statusCode) || (isLogin && pathname.startsWith("/assets/")) || /^\/(api|lite|metrics|problems|healthz|readyz|version)/.test(pathname) || !existsSync(file)) {
         response.writeHead(answer.statusCode, answer.headers);
         return void answer.pipe(response);
       }
       answer.resume();
       const { "content-security-policy": policy } = answer.headers;
-      response.writeHead(200, { "content-type": types[file.split(".").pop()] ?? "text/plain", "content-security-policy": policy, "cache-control": "no-cache", "service-worker-allowed": "/" });
+      response.writeHead(isLogin ? 401 : 200, { "content-type": types[file.split(".").pop()] ?? "text/plain", "content-security-policy": policy, "cache-control": "no-cache", "service-worker-allowed": "/" });
       response.end(readFileSync(file));
     });
     forward.on("error", () => request.socket.destroy());

@@ -1,6 +1,7 @@
 // The table of pages: by the first word of the address, and of a telescope by the word after its name.
 import { html } from "./lib.js";
 import { Alerts } from "./pages/alerts.js";
+import { Audit } from "./pages/audit.js";
 import { Controls } from "./pages/controls.js";
 import { DevicePage } from "./pages/device.js";
 import { Focus } from "./pages/focus.js";
@@ -13,6 +14,7 @@ import { Network } from "./pages/network.js";
 import { Nodes } from "./pages/nodes.js";
 import { AllReports, Report } from "./pages/report.js";
 import { Schedule } from "./pages/schedule.js";
+import { Settings } from "./pages/settings.js";
 import { Telescope } from "./pages/telescope.js";
 import { Wall } from "./pages/wall.js";
 import { AllWeather, Weather } from "./pages/weather.js";
@@ -29,6 +31,8 @@ export const pages = {
     report: { title: "Night report", Page: AllReports },
     log: { title: "Log", Page: Log },
     nodes: { title: "Nodes", Page: Nodes },
+    audit: { title: "Audit", Page: Audit },
+    settings: { title: "Settings and users", Page: Settings },
     wall: { title: "Wall", Page: Wall },
   },
   telescope: {
@@ -43,5 +47,6 @@ export const pages = {
     report: { title: "Report", Page: Report },
     controls: { title: "Controls", Page: Controls },
     log: { title: "Log", Page: Log },
+    audit: { title: "Audit", Page: Audit },
   },
 };

@@ -1,16 +1,17 @@
 // What surrounds every page: the rail of telescopes, the clock, the worst alert, the bar of a phone.
-import { html, useEffect, useRef, useSignal } from "./lib.js";
+import { html, useEffect, useRef } from "./lib.js";
 import { CloseButton, Closing } from "./close.js";
 import { clock, day, duration } from "./format.js";
+import { choose, theme } from "./look.js";
 import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Words, isCalm, postureIcon, standing, totals, urgency } from "./parts.js";
 import { route } from "./route.js";
 import { fault, link, lostAt, net, roundTrip, skyNow, skySpeed, tick, version } from "./store.js";
 import { leave, me } from "./user.js";
 
 const NETWORK_PAGES = [["network", "/", "Network", "network"], ["alerts", "/alerts", "Alerts", "bell"], ["weather", "/weather", "Weather", "cloud"], ["frames", "/frames", "Frames", "image"],
-  ["report", "/report", "Night report", "report"], ["log", "/log", "Log", "log"], ["nodes", "/nodes", "Nodes", "nodes"]];
+  ["report", "/report", "Night report", "report"], ["log", "/log", "Log", "log"], ["nodes", "/nodes", "Nodes", "nodes"], ["audit", "/audit", "Audit", "hand"], ["settings", "/settings", "Settings", "lock"]];
 const TELESCOPE_PAGES = [["now", "Now"], ["guiding", "Guiding"], ["focus", "Focus"], ["lightcurve", "Light curve"], ["schedule", "Schedule"], ["frames", "Frames"], ["weather", "Weather"], ["devices", "Devices"],
-  ["report", "Report"], ["controls", "Controls"], ["log", "Log"]];
+  ["report", "Report"], ["controls", "Controls"], ["log", "Log"], ["audit", "Audit"]];
 
 /** Telescopes by site, shared equipment left out, both by name. */
 export function bySite(summaries = [...net.value.values()]) {
@@ -37,12 +38,6 @@ export function doing(summary, now) {
 function Rail() {
   const { page, id } = route.value;
   const all = [...net.value.values()];
-  const theme = useSignal(document.documentElement.dataset.theme);
-  const choose = (value) => () => {
-    theme.value = value;
-    document.documentElement.dataset.theme = value;
-    try { localStorage.setItem("theme", value); } catch { /* private window */ }
-  };
   return html`<nav class="rail" aria-label="Main"><a class="brand" href="/"><${Icon} name="mesh" /><span class="lbl">Starmesh</span></a>
     ${NETWORK_PAGES.map(([name, href, word, icon]) => html`<a key=${name} class="nav" href=${href} aria-current=${!id && page === name ? "page" : null}><${Icon} name=${icon} /><span class="lbl">${word}</span>
       ${name === "alerts" && html`<span class="counts lbl"><${Counts} counts=${totals(all)} /></span>`}</a>`)}
@@ -53,8 +48,8 @@ function Rail() {
         <${Icon} name=${postureIcon(now.posture)} /><span class="nm cut">${summary.telescope_id}</span><span class="end"><span>${doing(summary, now)}</span>${worst < 4 && html`<span class=${`ink-p${worst}`} title=${PRIORITIES[worst - 1]}><${Shape} n=${worst} /></span>`}</span></a>`;
     })}`)}
     <div class="foot"><div class="seg lbl" role="group" aria-label="Theme">${[["dark", "Dark"], ["night", "Night"], ["light", "Light"]].map(([value, word]) =>
-      html`<button key=${value} type="button" data-set-theme=${value} aria-pressed=${String(theme.value === value)} onClick=${choose(value)}>${word}</button>`)}</div>
-      ${me.value && html`<div class="me"><span class="avatar">${me.value.name.slice(0, 2).toUpperCase()}</span><span class="lbl">${me.value.name}${me.value.way === "session" && html` <button class="btn sm quiet" onClick=${leave}>Log out</button>`}</span></div>`}</div></nav>`;
+      html`<button key=${value} type="button" data-set-theme=${value} aria-pressed=${String(theme.value === value)} onClick=${() => choose("theme", value)}>${word}</button>`)}</div>
+      ${me.value && html`<div class="me"><a href="/settings" class="avatar" aria-label="Settings and users">${me.value.name.slice(0, 2).toUpperCase()}</a><span class="lbl">${me.value.name}${me.value.way === "session" && html` <button class="btn sm quiet" onClick=${leave}>Log out</button>`}</span></div>`}</div></nav>`;
 }
 
 function NextTheme() {
@@ -156,7 +151,7 @@ function Foot() {
 /** The shell around a page. */
 export function Shell({ title, children }) {
   tick.value; // eslint-disable-line no-unused-expressions
-  const { id } = route.value;
+  const { id, page } = route.value;
   const summary = id && net.value.get(id);
   useEffect(() => {
     document.body.dataset.drawn = String(performance.now());
@@ -167,7 +162,8 @@ export function Shell({ title, children }) {
   });
   return html`<${Guard} name="navigation"><${Rail} /><//>
     <div class="col"><${Guard} name="clock and link"><${Top} title=${title} /><//><${Guard} name="banner"><${Banner} /><//>
-      <main id="main" tabindex="-1">${summary && html`<${Guard} name="safety and posture" key=${id}><${TelescopeHead} summary=${summary} /><//>`}<${Guard} name=${title} key=${location.pathname}>${children}<//></main></div>
+      <main id="main" tabindex="-1">${summary && html`<${Guard} name="safety and posture" key=${id}><${TelescopeHead} summary=${summary} /><//>`}<${Guard} name=${title} key=${location.pathname}>${children}<//></main>
+      <nav class="more phone row wrap" aria-label="Other pages">${NETWORK_PAGES.filter(([name]) => !["network", "alerts", "weather"].includes(name)).map(([name, href, word, icon]) => html`<a key=${name} class="btn sm quiet" href=${href} aria-current=${!id && page === name ? "page" : null}><${Icon} name=${icon} /><span>${word}</span></a>`)}</nav></div>
     <${Foot} />
     ${summary && !summary.shared && html`<div class="dock row phone"><${CloseButton} id=${id} named xl /></div>`}
     <${Bottom} /><${Closing} />`;

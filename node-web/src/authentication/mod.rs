@@ -30,6 +30,7 @@ use units::Utc;
 use users::{Grant, Principal, Right, SecretHash, Users, WatchedUsers, Way};
 
 use crate::problem::{Code, Problem};
+use crate::routes::page::NETWORK_PAGES;
 use buckets::Buckets;
 pub use exposure::may_listen;
 use logins::Logins;
@@ -376,7 +377,7 @@ fn nobody() -> Principal {
 
 /// The page itself, which is the login page for nobody.
 fn is_page(path: &str) -> bool {
-    path == "/" || path.starts_with("/t/")
+    NETWORK_PAGES.contains(&path) || path.starts_with("/t/")
 }
 
 fn peer(request: &Request) -> IpAddr {

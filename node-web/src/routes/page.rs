@@ -20,15 +20,16 @@ macro_rules! assets {
 
 /// Path and content of each asset.
 const ASSETS: &[(&str, &[u8])] = assets! {
-    "api.js" "app.js" "astro.js" "chart.js" "close.js" "devices.js" "favicon.svg" "format.js" "history.js"
-    "image.js" "lib.js" "live.css" "login.js" "manifest.webmanifest" "night.js" "pages.js" "parts.js"
-    "picture.js" "pixels.js" "plane.js" "route.js" "service-worker.js" "shell.js" "site.js" "sky.js"
-    "starmesh.css" "store.js" "theme.js" "timeview.js" "user.js" "viewer.js" "fonts/LICENSE-Inter.txt" "fonts/LICENSE-JetBrainsMono.txt" "fonts/inter-var.woff2"
-    "fonts/jetbrains-mono.woff2" "pages/alerts.js" "pages/controls.js" "pages/device.js" "pages/focus.js"
-    "pages/frame.js" "pages/frames.js" "pages/guiding.js" "pages/lightcurve.js" "pages/log.js"
-    "pages/network.js" "pages/nodes.js" "pages/report.js" "pages/schedule.js" "pages/telescope.js"
-    "pages/wall.js" "pages/weather.js" "vendor/LICENSES.txt" "vendor/hooks.js" "vendor/htm.js"
-    "vendor/preact.js" "vendor/signals-core.js" "vendor/signals.js" "vendor/uplot.js"
+    "api.js" "app.js" "astro.js" "chart.js" "close.js" "devices.js" "favicon.svg" "form.js" "format.js" "history.js"
+    "image.js" "lib.js" "live.css" "login.js" "look.js" "manifest.webmanifest" "night.js" "pages.js" "parts.js"
+    "picture.js" "pixels.js" "plane.js" "route.js" "row.js" "service-worker.js" "shell.js" "site.js" "sky.js"
+    "starmesh.css" "store.js" "theme.js" "timeview.js" "user.js" "viewer.js" "fonts/LICENSE-Inter.txt"
+    "fonts/LICENSE-JetBrainsMono.txt" "fonts/inter-var.woff2" "fonts/jetbrains-mono.woff2" "pages/alerts.js"
+    "pages/audit.js" "pages/controls.js" "pages/device.js" "pages/focus.js" "pages/frame.js" "pages/frames.js"
+    "pages/guiding.js" "pages/lightcurve.js" "pages/log.js" "pages/network.js" "pages/nodes.js" "pages/report.js"
+    "pages/schedule.js" "pages/settings.js" "pages/telescope.js" "pages/wall.js" "pages/weather.js"
+    "vendor/LICENSES.txt" "vendor/hooks.js" "vendor/htm.js" "vendor/preact.js" "vendor/signals-core.js"
+    "vendor/signals.js" "vendor/uplot.js"
 };
 /// What lets the page open without this server.
 const SERVICE_WORKER: &str = "service-worker.js";
@@ -37,7 +38,8 @@ const INDEX: &str = include_str!("../assets/index.html");
 const LOGIN: &str = include_str!("../assets/login.html");
 
 /// Addresses of the page that are of no telescope; each is the same document, whose script reads the address.
-pub const NETWORK_PAGES: &[&str] = &["/", "/alerts", "/weather", "/frames", "/report", "/log", "/nodes", "/wall"];
+pub const NETWORK_PAGES: &[&str] =
+    &["/", "/alerts", "/weather", "/frames", "/report", "/log", "/nodes", "/audit", "/settings", "/wall"];
 
 /// The type of an asset, by its name's end.
 fn kind_of(path: &str) -> &'static str {

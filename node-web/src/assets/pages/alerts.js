@@ -41,7 +41,7 @@ function Shelve({ alert, close }) {
   };
   return html`<${Dialog} label="Shelve an alert" close=${close}><h2>Shelve ${kindWords(alert.id)}?</h2><p class="m">It is sent to nobody for a while. It stays in this list, and in the log.</p>
     <form class="stack" onSubmit=${send}><div class="field"><label for="reason">Why</label><div class="in"><input id="reason" data-first required maxlength="500" onInput=${(event) => { reason.value = event.target.value; }} /></div></div>
-      <div class="field"><label for="minutes">For</label><div class="in"><input id="minutes" type="number" min="1" max="1440" value="60" required onInput=${(event) => { minutes.value = event.target.value; }} /><span class="u">min</span></div></div>
+      <div class="field"><label for="minutes">For</label><div class="in"><input id="minutes" type="number" min="1" max="1440" defaultValue="60" required onInput=${(event) => { minutes.value = event.target.value; }} /><span class="u">min</span></div></div>
       <div class="acts"><button type="button" class="btn soft" onClick=${close}>Cancel</button><button class="btn main">Shelve</button></div></form><//>`;
 }
 

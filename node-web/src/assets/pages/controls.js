@@ -2,6 +2,7 @@
 import { html, useRef, useSignal } from "../lib.js";
 import { ask, command, useGet } from "../api.js";
 import { CloseButton, note } from "../close.js";
+import { Field, title, valuesOf } from "../form.js";
 import { clock, duration } from "../format.js";
 import { Card, Dialog, Icon, Loaded, Table, standing } from "../parts.js";
 import { ageOf, tick, useTopic } from "../store.js";
@@ -11,7 +12,6 @@ import { me } from "../user.js";
 const HOLD_MS = 1500;
 /** Orders with a page of their own. */
 const ELSEWHERE = new Set(["put-schedule", "ack", "shelve", "unshelve"]);
-const name = (word) => { const plain = word.replaceAll("-", " "); return plain[0].toUpperCase() + plain.slice(1); };
 
 /** A sentence in which names of orders stand between backticks. */
 const Words = ({ text }) => String(text).split("`").map((part, i) => (i % 2 ? html`<span class="mono" key=${i}>${part}</span>` : part));
@@ -54,42 +54,27 @@ async function give(id, order, parameters, reason) {
   }
 }
 
-/** One field of an order's parameters, by its schema. */
-function Field({ path, schema, required }) {
-  const type = [schema.type].flat().filter((one) => one !== "null")[0];
-  const input = schema.enum ? html`<select id=${path} name=${path} required=${required}>${schema.enum.map((value) => html`<option key=${value}>${value}</option>`)}</select>`
-    : type === "boolean" ? html`<input id=${path} name=${path} type="checkbox" checked=${schema.default === true} />`
-    : html`<input id=${path} name=${path} type=${type === "number" || type === "integer" ? "number" : "text"} step=${type === "integer" ? 1 : "any"} min=${schema.minimum} max=${schema.maximum} value=${schema.default ?? ""} required=${required} />`;
-  return html`<div class="field"><label for=${path}>${name(path)}</label><div class="in">${input}${schema.unit && html`<span class="u">${schema.unit}</span>`}</div><small>${schema.description}</small></div>`;
-}
-
 function Order({ id, order, close, reload }) {
   const form = useRef(null);
   const properties = Object.entries(order.parameters?.properties ?? {});
   const send = () => {
     if (!form.current.reportValidity()) return;
-    const data = new FormData(form.current);
-    const parameters = {};
-    for (const [path, schema] of properties) {
-      const type = [schema.type].flat().filter((one) => one !== "null")[0];
-      const value = data.get(path);
-      if (type === "boolean") parameters[path] = value !== null;
-      else if (value !== null && value !== "") parameters[path] = type === "number" || type === "integer" ? Number(value) : value;
-    }
+    const parameters = valuesOf(form.current, properties);
+    const reason = new FormData(form.current).get("reason") ?? "";
     close();
-    give(id, order.command, parameters, data.get("reason") ?? "").then(reload);
+    give(id, order.command, parameters, reason).then(reload);
   };
-  return html`<${Dialog} label=${name(order.command)} close=${close}><h2>${name(order.command)} ${id.split("/")[1]}?</h2><p class="m"><${Words} text=${order.meaning} /></p>
+  return html`<${Dialog} label=${title(order.command)} close=${close}><h2>${title(order.command)} ${id.split("/")[1]}?</h2><p class="m"><${Words} text=${order.meaning} /></p>
     <form ref=${form} class="stack" onSubmit=${(event) => { event.preventDefault(); if (order.closes) send(); }}>${properties.map(([path, schema]) => html`<${Field} key=${path} path=${path} schema=${schema} required=${(order.parameters.required ?? []).includes(path)} />`)}
       <div class="field"><label for="reason">Why${order.needs_reason ? "" : " (may be left empty)"}</label><div class="in"><input id="reason" name="reason" maxlength="500" required=${order.needs_reason} data-first /></div></div>
       ${order.against.length > 0 && html`<ul class="locks">${order.against.map((text) => html`<li key=${text} class="no"><${Icon} name="x" />${text}</li>`)}</ul>`}
-      <div class="acts"><button type="button" class="btn soft" onClick=${close}>Cancel</button>${order.closes ? html`<button class="btn close"><span>${name(order.command)}</span></button>` : html`<${HoldButton} text=${`Hold to ${order.command.replaceAll("-", " ")}`} onDone=${send} />`}</div></form><//>`;
+      <div class="acts"><button type="button" class="btn soft" onClick=${close}>Cancel</button>${order.closes ? html`<button class="btn close"><span>${title(order.command)}</span></button>` : html`<${HoldButton} text=${`Hold to ${order.command.replaceAll("-", " ")}`} onDone=${send} />`}</div></form><//>`;
 }
 
-function Group({ title, hint, orders, onChoose }) {
+function Group({ name, hint, orders, onChoose }) {
   if (!orders.length) return null;
-  return html`<${Card} name=${title} end=${hint}><ul class="ctls">${orders.map((order) => html`<li class="ctl" key=${order.command} data-testid="order" data-order=${order.command}><div class="grow"><b>${name(order.command)}</b><div class="why"><${Words} text=${order.meaning} /></div>
-    ${!order.may && html`<div class="why">You may not: it needs the right <b>${order.right}</b>.</div>`}${order.may && order.against.length > 0 && html`<div class="why">Now: ${order.against.join("; ")}.</div>`}</div><button type="button" class="btn soft sm" disabled=${!order.may} onClick=${() => onChoose(order)}>${name(order.command)} …</button></li>`)}</ul><//>`;
+  return html`<${Card} name=${name} end=${hint}><ul class="ctls">${orders.map((order) => html`<li class="ctl" key=${order.command} data-testid="order" data-order=${order.command}><div class="grow"><b>${title(order.command)}</b><div class="why"><${Words} text=${order.meaning} /></div>
+    ${!order.may && html`<div class="why">You may not: it needs the right <b>${order.right}</b>.</div>`}${order.may && order.against.length > 0 && html`<div class="why">Now: ${order.against.join("; ")}.</div>`}</div><button type="button" class="btn soft sm" disabled=${!order.may} onClick=${() => onChoose(order)}>${title(order.command)} …</button></li>`)}</ul><//>`;
 }
 
 function MayOpen({ id }) {
@@ -113,7 +98,7 @@ export function Controls({ id, summary }) {
   const sky = new Set(["start", "open-again", "override", "robotic-on", "skip", "repeat"]);
   const choose = (order) => { chosen.value = order; };
   return html`<div class="grid g-side"><div class="stack"><${Card} name="Always available" end="towards safe: no unlock"><${CloseButton} id=${id} xl named /><p class="why">${now.posture === "closed" ? "It is closed now. Closing again does no harm." : `The dome is ${now.posture === "unknown" ? "in a state that nobody knows" : now.posture}.`}</p><//>
-      <${Loaded} of=${catalogue} what="The list of orders">${() => html`<${Group} title="Towards safe" hint="one confirmation" orders=${orders.filter((order) => order.closes)} onChoose=${choose} /><${Group} title="Routine" hint="held for 1.5 s" orders=${orders.filter((order) => !order.closes && !sky.has(order.command))} onChoose=${choose} /><${Group} title="Towards the sky" hint="held for 1.5 s" orders=${orders.filter((order) => !order.closes && sky.has(order.command))} onChoose=${choose} />`}<//></div>
+      <${Loaded} of=${catalogue} what="The list of orders">${() => html`<${Group} name="Towards safe" hint="one confirmation" orders=${orders.filter((order) => order.closes)} onChoose=${choose} /><${Group} name="Routine" hint="held for 1.5 s" orders=${orders.filter((order) => !order.closes && !sky.has(order.command))} onChoose=${choose} /><${Group} name="Towards the sky" hint="held for 1.5 s" orders=${orders.filter((order) => !order.closes && sky.has(order.command))} onChoose=${choose} />`}<//></div>
     <div class="stack"><${MayOpen} id=${id} /><${Card} name="Given orders" flush><${Loaded} of=${given} what="The list">${(list) => ((list.items ?? list).length ? html`<${Table} label="Given orders" columns=${[{ key: "o", name: "Order" }, { key: "b", name: "By" }, { key: "s", name: "State" }]} rows=${list.items ?? list} keyOf=${(one) => one.id} cells=${(one) => html`<td class="k">${one.command}</td><td>${one.requested_by}</td><td>${one.state}${one.detail ? html` <span class="m">${one.detail}</span>` : ""} <span class="mm">${one.events?.[0]?.at_utc ? clock(one.events[0].at_utc) : ""}</span></td>`} />` : html`<p class="m pad">None was given at this server.</p>`)}<//><//>
       <${Card} name="Who you are"><p>${me.value ? html`<b>${me.value.name}</b>, ${me.value.rights?.map((right) => (typeof right === "string" ? right : JSON.stringify(right))).join(", ") || "no rights"}` : "not known"}</p><//></div></div>
     ${chosen.value && html`<${Order} key=${chosen.value.command} id=${id} order=${chosen.value} close=${() => { chosen.value = null; }} reload=${() => { catalogue.again(); given.again(); }} />`}`;

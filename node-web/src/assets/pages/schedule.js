@@ -5,6 +5,7 @@ import { note } from "../close.js";
 import { clock, duration, hourMinute, number } from "../format.js";
 import { Night } from "../night.js";
 import { Card, Dialog, Empty, Loaded, Table } from "../parts.js";
+import { RowForm, rowOf } from "../row.js";
 import { useSite } from "../site.js";
 import { skyNow, tick, useTopic } from "../store.js";
 
@@ -41,6 +42,9 @@ function Editor({ id, onDone }) {
   const changes = useSignal(null);
   const problem = useSignal(null);
   const activating = useSignal(false);
+  /** The row whose form is open: its line, from 0, and whether it takes the line's place. */
+  const form = useSignal(null);
+  const caret = useSignal(0);
   const area = useRef(null);
   const site = useSite(id, null);
   const name = `${base(id)}/drafts/page`;
@@ -93,6 +97,14 @@ function Editor({ id, onDone }) {
     activating.value = false;
     onDone();
   };
+  // A row is put below the line of the caret; one that is changed stays where it is.
+  const put = (line) => {
+    const { at, row } = form.peek();
+    const lines = text.peek().split("\n");
+    lines.splice(row ? at : lines[at]?.trim() ? at + 1 : at, row || !lines[at]?.trim() ? 1 : 0, line);
+    text.value = lines.join("\n");
+    form.value = null;
+  };
   const discard = async () => {
     if (draft.peek()) await ask(name, { method: "DELETE", headers: { "If-Match": `"${draft.peek().etag.replaceAll('"', "")}"` } });
     draft.value = null;
@@ -105,16 +117,23 @@ function Editor({ id, onDone }) {
   const findings = checked.value?.findings ?? [];
   const errors = checked.value?.errors ?? 0;
   const lines = text.value.split("\n");
+  const here = Math.min(lines.length - 1, text.value.slice(0, caret.value).split("\n").length - 1);
+  const rowHere = rowOf(lines[here]);
+  const rows = lines.map(rowOf).filter(Boolean);
+  const cameras = [...new Set(rows.map((row) => row.device_name).filter((name) => typeof name === "string"))];
+  const latest = rows[rows.length - 1];
+  const moved = (event) => { caret.value = event.target.selectionStart; };
   const marked = new Map(findings.map((finding) => [finding.line, finding.severity]));
   return html`<${Card} name="Draft" end=${draft.value ? `stored by ${draft.value.author}, ${clock(draft.value.changed_utc)}` : "not stored yet; it begins as the schedule in force"}>
       ${problem.value && html`<div class="note p2" role="alert"><span class="grow">${problem.value.message}</span></div>`}
-      <div class="row wrap"><span data-testid="check"><b>${errors}</b> ${errors === 1 ? "error" : "errors"}, <b>${checked.value?.warnings ?? 0}</b> warnings, ${checked.value?.rows ?? "?"} rows</span><span class="grow"></span><button class="btn quiet sm" onClick=${press(discard)}>Start over</button><button class="btn soft" onClick=${press(save)}>Store</button><button class="btn soft" onClick=${press(compare)}>Difference</button><button class="btn soft" disabled=${errors > 0} onClick=${press(simulate)}>Dry run</button>
+      <div class="row wrap"><span data-testid="check"><b>${errors}</b> ${errors === 1 ? "error" : "errors"}, <b>${checked.value?.warnings ?? 0}</b> warnings, ${checked.value?.rows ?? "?"} rows</span><span class="grow"></span><button class="btn soft sm" data-testid="add-row" onClick=${() => { form.value = { at: here, row: null }; }}>Add a row …</button><button class="btn soft sm" data-testid="change-row" disabled=${!rowHere} onClick=${() => { form.value = { at: here, row: rowHere }; }}>${rowHere ? `Change line ${here + 1} …` : "Change a row …"}</button><button class="btn quiet sm" onClick=${press(discard)}>Start over</button><button class="btn soft" onClick=${press(save)}>Store</button><button class="btn soft" onClick=${press(compare)}>Difference</button><button class="btn soft" disabled=${errors > 0} onClick=${press(simulate)}>Dry run</button>
         <button class="btn main" disabled=${errors > 0} onClick=${() => { activating.value = true; }}>Activate …</button></div>${errors > 0 && html`<p class="why">Activate and the dry run wait for ${errors === 1 ? "the error" : `${errors} errors`} below.</p>`}
-      <div class="editor"><div class="gutter" aria-hidden="true">${lines.map((_, i) => html`<span key=${i} class=${marked.get(i + 1) ?? ""}>${i + 1}</span>`)}</div><textarea ref=${area} aria-label="Schedule, one row a line" spellcheck="false" wrap="off" rows=${Math.min(40, Math.max(8, lines.length + 1))} value=${text.value} onInput=${(event) => { text.value = event.target.value; }}></textarea></div>
+      <div class="editor"><div class="gutter" aria-hidden="true">${lines.map((_, i) => html`<span key=${i} class=${marked.get(i + 1) ?? ""}>${i + 1}</span>`)}</div><textarea ref=${area} aria-label="Schedule, one row a line" spellcheck="false" wrap="off" rows=${Math.min(40, Math.max(8, lines.length + 1))} value=${text.value} onInput=${(event) => { text.value = event.target.value; moved(event); }} onKeyUp=${moved} onClick=${moved} onFocus=${moved}></textarea></div>${!rowHere && html`<p class="why">To change a row by its form, put the cursor into its line; it must stand on one line.</p>`}
       <${Findings} findings=${findings} onGo=${goTo} /><//>
     ${changes.value && html`<${Card} name="Difference to the schedule in force" flush>${changes.value.same ? html`<p class="m pad">No row differs.</p>` : html`<${Table} label="Difference" columns=${[{ key: "c", name: "Change" }, { key: "l", name: "Line", num: true }, { key: "w", name: "Row" }]} rows=${changes.value.changes} keyOf=${(one) => `${one.change} ${one.line_before} ${one.line_after}`} cells=${(one) => html`<td>${one.change}</td><td class="num">${one.line_after ?? one.line_before}</td><td class="pre mono">${(one.fields ?? []).length ? one.fields.map((field) => `${field.field}: ${JSON.stringify(field.before)} → ${JSON.stringify(field.after)}`).join("\n") : JSON.stringify(one.after ?? one.before)}</td>`} />`}<//>`}
     ${dry.value && html`<${Card} name="Dry run" end=${dry.value.night && `${dry.value.night.frames} frames, ${number(dry.value.night.gigabytes, 1)} GB, ${duration(dry.value.night.dark_exposed_s)} of ${duration(dry.value.night.dark_s)} dark time exposed`}><${Night} rows=${dry.value.rows.map((row) => ({ ...row, start_utc: row.window_utc[0], end_utc: row.window_utc[1] }))} plan=${dry.value.rows} site=${site} now=${skyNow()} label="Forecast of the draft" />
       <${Table} label="Forecast" columns=${[{ key: "r", name: "Row", num: true }, { key: "w", name: "What" }, { key: "b", name: "Begins" }, { key: "e", name: "Ends" }, { key: "f", name: "Frames", num: true }, { key: "n", name: "" }]} rows=${dry.value.rows} keyOf=${(row) => row.row} cells=${(row) => html`<td class="num">${row.row + 1}</td><td class="k">${[row.action, row.object].filter(Boolean).join(" ")}</td><td>${row.start_utc ? clock(row.start_utc) : "—"}</td><td>${row.end_utc ? clock(row.end_utc) : "—"}</td><td class="num">${row.frames_wanted ? `${row.frames} of ${row.frames_wanted}` : row.frames || ""}</td><td class="m">${row.note ?? (row.whole === false ? "not whole" : "")}</td>`} /><//>`}
+    ${form.value && html`<${RowForm} id=${id} row=${form.value.row} cameras=${cameras} window=${[latest?.end_time ?? "", ""]} onDone=${put} close=${() => { form.value = null; }} />`}
     ${activating.value && html`<${Dialog} label="Activate the draft" close=${() => { activating.value = false; }}><h2>Put this schedule in force?</h2><p class="m">${lines.filter((line) => line.trim().startsWith("{")).length} rows take the place of those in force. A row that runs goes on if it is in both.</p><form class="stack" onSubmit=${(event) => activate(event).catch(fail)}><div class="field"><label for="why">Why</label><div class="in"><input id="why" name="reason" data-first maxlength="500" required /></div></div><div class="acts"><button type="button" class="btn soft" onClick=${() => { activating.value = false; }}>Cancel</button><button class="btn main">Activate</button></div></form><//>`}`;
 }
 
