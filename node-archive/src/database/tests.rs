@@ -480,8 +480,9 @@ async fn verdicts_are_rows_with_their_times_and_reasons() {
     let monitor = r#"{"input":"safetymonitor/m","why":"says that it is not safe"}"#;
     put("safety", 0, &format!(r#"{{"verdict":"unsafe","reasons":[{rain},{monitor}],"suspended":[]}}"#));
     put("safety", 100, r#"{"verdict":"safe","reasons":[],"suspended":[]}"#);
-    let mut statement =
-        connection.prepare("SELECT began_utc, last_utc, verdict, input, why FROM verdicts ORDER BY began_utc, input").unwrap();
+    let mut statement = connection
+        .prepare("SELECT began_utc, last_utc, verdict, input, why FROM verdicts ORDER BY began_utc, input")
+        .unwrap();
     let rows = statement.query_map([], |row| {
         let text = |index| row.get::<_, Option<String>>(index);
         Ok([text(0)?, text(1)?, text(2)?, text(3)?, text(4)?].map(Option::unwrap_or_default))
