@@ -29,8 +29,8 @@ use local_http::Peer;
 use units::Utc;
 use users::{Grant, Principal, Right, SecretHash, Users, WatchedUsers, Way};
 
+use crate::addresses::NETWORK_PAGES;
 use crate::problem::{Code, Problem};
-use crate::routes::page::NETWORK_PAGES;
 use buckets::Buckets;
 pub use exposure::may_listen;
 use logins::Logins;
