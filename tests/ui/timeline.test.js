@@ -126,12 +126,12 @@ test("the night of all telescopes has a line for each, worst first, and a name l
   await open("/");
   await page.locator('[data-testid="nights"]').scrollIntoViewIfNeeded();
   await page.locator('[data-testid="night-line"]').nth(3).waitFor();
-  const lines = await page.locator('[data-testid="night-line"]').evaluateAll((all) => all.map((one) => one.dataset.telescope));
-  const rows = await page.locator('[data-testid="row"]').evaluateAll((all) => all.map((one) => one.dataset.telescope));
+  const lines = await page.locator('[data-testid="night-line"]').evaluateAll((all) => all.map((one) => one.dataset.of));
+  const rows = await page.locator('[data-testid="row"]').evaluateAll((all) => all.map((one) => one.dataset.of));
   assert.equal(lines[0], "ridge/delta", "the one that needs somebody");
   assert.deepEqual(lines, rows, "the table has the same order");
   await page.locator('[data-testid="night-line"] .b-done, [data-testid="night-line"] .b-run').first().waitFor();
-  await page.locator('[data-testid="night-line"] a').first().click();
+  await page.locator('[data-testid="nights"] .names a').first().click();
   await page.locator("h1", { hasText: "delta" }).waitFor();
 });
 

@@ -114,7 +114,7 @@ function All({ telescopes }) {
   const text = useSignal("");
   const shown = telescopes.filter((one) => `${one.id} ${activity(one, standing(one)).join(" ")}`.toLowerCase().includes(text.value.toLowerCase()));
   return html`<${Card} name="All telescopes" flush end=${html`${text.value && html`<span class="m">${shown.length} of ${telescopes.length}</span>`}<label class="in"><${Icon} name="search" /><input type="search" placeholder="Filter" aria-label="Filter telescopes" onInput=${(event) => { text.value = event.target.value; }} /><kbd>/</kbd></label>`}>
-    <${Table} label="All telescopes" columns=${COLUMNS} rows=${shown} sorted=${{ key: "safety", up: true }} keyOf=${(one) => one.id} rowProps=${(one) => ({ "data-quality": standing(one).worth, "data-testid": "row", "data-telescope": one.id })} cells=${(one) => {
+    <${Table} label="All telescopes" columns=${COLUMNS} rows=${shown} sorted=${{ key: "safety", up: true }} keyOf=${(one) => one.id} rowProps=${(one) => ({ "data-quality": standing(one).worth, "data-testid": "row", "data-of": one.id })} cells=${(one) => {
       const now = standing(one);
       const level = urgency(one, now);
       const figure = (value) => (now.fresh && value != null ? number(value, 2) : "—");

@@ -79,7 +79,7 @@ function Tokens() {
     ${removing.value && html`<${Dialog} label="Remove a token" close=${() => { removing.value = null; }}><h2>Remove the token ${removing.value.name}?</h2><p class="m">Whatever uses it is refused from now on.</p><div class="acts"><button type="button" class="btn soft" onClick=${() => { removing.value = null; }}>Cancel</button><button type="button" class="btn main" data-first onClick=${() => remove(removing.value)}>Remove</button></div><//>`}<//>`;
 }
 
-const Users = () => html`<${Card} name="Users"><p>Users and their rights are kept in a file of the server, and changed there:</p><pre class="code pad mono">starmesh user add bob --right viewer --right operator:SITE/TELESCOPE
+const Users = () => html`<${Card} name="Users"><p>Users and their rights are kept in a file of the server, and changed there:</p><pre class="code pad mono" tabindex="0" role="group" aria-label="Commands about users">starmesh user add bob --right viewer --right operator:SITE/TELESCOPE
 starmesh user right bob viewer operator:SITE/*
 starmesh user password bob
 starmesh user remove bob
