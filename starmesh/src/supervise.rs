@@ -33,6 +33,9 @@ pub struct NodeProcess {
     pub left: Option<Arc<Left>>,
     /// Where its ends are reported that nobody asked for.
     pub reports: Option<Reports>,
+    /// What the guard process of an enclosure stores apart from the configuration is here; where absent, in the state
+    /// folder of the service or the account, for as long as that exists.
+    pub state: Option<PathBuf>,
 }
 
 /// How nodes name this supervisor in their last state.
@@ -63,11 +66,20 @@ impl NodeProcess {
         self.spawn_with(None, None)
     }
 
-    fn spawn_with(&self, last_words: Option<&Path>, watchdog: Option<&Watchdog>) -> anyhow::Result<Child> {
-        let program = std::env::current_exe().context("cannot find this program's own file")?;
+    /// The command that starts it, without what belongs to one life of it.
+    pub fn command(&self, program: &Path) -> Command {
         let mut command = Command::new(program);
         command.args(["node", self.role.word(), "--id", &self.id, "--config"]).arg(&self.config);
         command.args(&self.arguments);
+        if let Some(state) = &self.state {
+            command.env("STATE_DIRECTORY", state);
+        }
+        command
+    }
+
+    fn spawn_with(&self, last_words: Option<&Path>, watchdog: Option<&Watchdog>) -> anyhow::Result<Child> {
+        let program = std::env::current_exe().context("cannot find this program's own file")?;
+        let mut command = self.command(&program);
         if self.with_parent {
             command.arg("--with-parent").stdin(Stdio::piped());
         } else {

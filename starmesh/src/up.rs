@@ -75,6 +75,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         with_parent: role != Role::Device,
         left: Some(left.clone()),
         reports: Some(reports.clone()),
+        state: None,
     };
     let page = page(config.web.listen);
     let mut devices: Vec<(String, Stop, JoinSet<anyhow::Result<()>>)> = Vec::new();
@@ -176,6 +177,7 @@ async fn guarded_until_readable(
         with_parent: false,
         left: Some(left.clone()),
         reports: None,
+        state: None,
     };
     let (stop, mut task) = (Stop::default(), JoinSet::new());
     let stopped = stop.clone();

@@ -225,20 +225,8 @@ impl Nodes {
         let start = |role: Role| {
             let nodes =
                 stations.iter().flat_map(|station| station.nodes(role).into_iter().map(move |id| (station, id)));
-            let spawn = |(station, id): (&Station, &str)| {
-                let log = if role == Role::Device { format!("{role}-{id}.log") } else { format!("{role}.log") };
-                let process = NodeProcess {
-                    role,
-                    id: id.to_owned(),
-                    config: station.file.clone(),
-                    arguments: vec!["--connect".to_owned(), endpoint.to_owned()],
-                    log: Some(station.folder.join(log)),
-                    with_parent: true,
-                    left: None,
-                    reports: None,
-                };
-                process.spawn()
-            };
+            let spawn =
+                |(station, id): (&Station, &str)| process(&station.folder, &station.file, (role, id), endpoint).spawn();
             nodes.map(spawn).collect::<anyhow::Result<Vec<_>>>()
         };
         let roles = [Role::Web, Role::Archive, Role::Device, Role::Observatory];
@@ -255,6 +243,24 @@ impl Nodes {
             }
         }
         Ok(())
+    }
+}
+
+/// How a node of the demo is started: whatever it stores is in the demo's folder.
+fn process(folder: &Path, file: &Path, (role, id): (Role, &str), endpoint: &str) -> NodeProcess {
+    let log = if role == Role::Device { format!("{role}-{id}.log") } else { format!("{role}.log") };
+    NodeProcess {
+        role,
+        id: id.to_owned(),
+        config: file.to_owned(),
+        arguments: vec!["--connect".to_owned(), endpoint.to_owned()],
+        log: Some(folder.join(log)),
+        with_parent: true,
+        left: None,
+        reports: None,
+        // The guard process of a later demo in a folder of this name would look for this one's dome, at an address where
+        // nobody answers.
+        state: Some(folder.join("state")),
     }
 }
 
@@ -305,5 +311,19 @@ fn page_port(asked: Option<u16>) -> anyhow::Result<u16> {
     match asked {
         Some(port) => free(port).with_context(|| format!("port {port} cannot be used; choose another with --port")),
         None => free(USUAL_PORT).or_else(|_| free(0)).context("no port is free for the page"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_demo_stores_nothing_outside_of_its_folder() {
+        let folder = Path::new("/tmp/demo");
+        let command = process(folder, &folder.join("observatory.toml"), (Role::Device, "enclosure"), "tcp/127.0.0.1:1");
+        let command = command.command(Path::new("starmesh"));
+        let state = command.as_std().get_envs().find(|(name, _)| *name == "STATE_DIRECTORY");
+        assert_eq!(state.unwrap().1, Some(folder.join("state").as_os_str()));
     }
 }
