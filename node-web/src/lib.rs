@@ -27,6 +27,7 @@
 //!   `a_schedule_that_somebody_else_put_meanwhile_is_not_replaced`.
 //! - A slow page delays nobody: `a_slow_page_gets_the_newest_value_of_each_key_once`.
 
+mod addresses;
 mod alerts;
 mod api;
 mod authentication;

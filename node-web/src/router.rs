@@ -8,6 +8,7 @@ use axum::http::{Method, Uri};
 use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::get;
 
+use crate::addresses::NETWORK_PAGES;
 use crate::api;
 use crate::authentication::{Authentication, authenticate};
 use crate::gate::{Gate, guard};
@@ -21,7 +22,7 @@ const LONGEST_BODY: usize = 2 << 20;
 
 /// All routes, behind the check of access (`Gate`) and the question who asks (`authentication`).
 pub fn router(server: Arc<Server>, gate: Gate, authentication: Authentication) -> Router {
-    let pages = page::NETWORK_PAGES.iter().fold(Router::new(), |router, path| router.route(path, get(page::index)));
+    let pages = NETWORK_PAGES.iter().fold(Router::new(), |router, path| router.route(path, get(page::index)));
     Router::new()
         .merge(pages)
         .route("/t/{site}/{telescope}", get(page::index))

@@ -29,8 +29,8 @@ use local_http::Peer;
 use units::Utc;
 use users::{Grant, Principal, Right, SecretHash, Users, WatchedUsers, Way};
 
+use crate::addresses::is_page;
 use crate::problem::{Code, Problem};
-use crate::routes::page::NETWORK_PAGES;
 use buckets::Buckets;
 pub use exposure::may_listen;
 use logins::Logins;
@@ -373,11 +373,6 @@ pub fn session_cookie(secret: Option<&str>, encrypted: bool) -> String {
 /// Everybody: no right at all, and good for what needs none.
 fn nobody() -> Principal {
     Principal { name: "nobody".to_owned(), way: Way::Open, grants: Vec::new() }
-}
-
-/// The page itself, which is the login page for nobody.
-fn is_page(path: &str) -> bool {
-    NETWORK_PAGES.contains(&path) || path.starts_with("/t/")
 }
 
 fn peer(request: &Request) -> IpAddr {

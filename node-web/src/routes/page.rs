@@ -37,10 +37,6 @@ const FAVICON: &[u8] = include_bytes!("../assets/favicon.svg");
 const INDEX: &str = include_str!("../assets/index.html");
 const LOGIN: &str = include_str!("../assets/login.html");
 
-/// Addresses of the page that are of no telescope; each is the same document, whose script reads the address.
-pub const NETWORK_PAGES: &[&str] =
-    &["/", "/alerts", "/weather", "/frames", "/report", "/log", "/nodes", "/audit", "/settings", "/wall"];
-
 /// The type of an asset, by its name's end.
 fn kind_of(path: &str) -> &'static str {
     match path.rsplit_once('.').map_or("", |(_, end)| end) {
