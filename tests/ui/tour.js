@@ -38,6 +38,7 @@ async function everything(page) {
         // What is read when it comes into view.
         await page.evaluate(() => document.querySelector('[data-testid="nights"]')?.scrollIntoView());
         await page.waitForLoadState("networkidle");
+        await page.evaluate(() => scrollTo(0, 0));
         const file = `${address.replace(/^\/(t\/demo\/alpha)?\/?/, (start) => (start.length > 1 ? "telescope-" : "")).replaceAll("/", "-") || "network"}-${name}-${theme}.png`;
         await page.screenshot({ path: join(all, file), fullPage: true });
         console.log(file);

@@ -29,7 +29,7 @@ use local_http::Peer;
 use units::Utc;
 use users::{Grant, Principal, Right, SecretHash, Users, WatchedUsers, Way};
 
-use crate::addresses::NETWORK_PAGES;
+use crate::addresses::is_page;
 use crate::problem::{Code, Problem};
 use buckets::Buckets;
 pub use exposure::may_listen;
@@ -373,11 +373,6 @@ pub fn session_cookie(secret: Option<&str>, encrypted: bool) -> String {
 /// Everybody: no right at all, and good for what needs none.
 fn nobody() -> Principal {
     Principal { name: "nobody".to_owned(), way: Way::Open, grants: Vec::new() }
-}
-
-/// The page itself, which is the login page for nobody.
-fn is_page(path: &str) -> bool {
-    NETWORK_PAGES.contains(&path) || path.starts_with("/t/")
 }
 
 fn peer(request: &Request) -> IpAddr {

@@ -1,6 +1,6 @@
 // The schedule: rows of tonight and their forecast; a draft of the next one, with findings while it is written, a dry run, the difference, and activation.
 import { html, useEffect, useRef, useSignal } from "../lib.js";
-import { ask, useGet } from "../api.js";
+import { ask, useGet, useReport } from "../api.js";
 import { note } from "../close.js";
 import { clock, duration, hourMinute, number } from "../format.js";
 import { Night } from "../night.js";
@@ -8,6 +8,7 @@ import { Card, Dialog, Empty, Loaded, Table } from "../parts.js";
 import { RowForm, rowOf } from "../row.js";
 import { useSite } from "../site.js";
 import { skyNow, tick, useTopic } from "../store.js";
+import { nightOf } from "./frames.js";
 
 const SHAPES = { pending: "·", running: "▶", interrupted: "‖", finished: "✓", failed: "✕", skipped: "–" };
 const base = (id) => `/api/v1/telescopes/${id}/schedule`;
@@ -168,9 +169,10 @@ export function Schedule({ id }) {
   const plan = useForecast(id, entry?.body.revision);
   const site = useSite(id, null);
   const editing = useSignal(false);
+  const report = useReport(id, skyNow() && nightOf(skyNow()));
   if (!entry) return html`<p class="m">No schedule received yet.</p>`;
   const { rows, file, revision, refused } = entry.body;
-  return html`<${Card} name="The night" end=${html`<span class="key">done</span><span class="key dash">forecast</span>`} cls="tl"><${Night} rows=${rows} plan=${plan?.rows} site=${site} now=${skyNow()} /><//>
+  return html`<${Card} name="The night" end=${html`<span class="key">done</span><span class="key dash">forecast</span>`} cls="tl"><${Night} rows=${rows} plan=${plan?.rows} report=${report.data} site=${site} now=${skyNow()} /><//>
     ${refused && html`<div class="note p2"><span class="grow"><b>The file's newest text was not taken.</b> ${refused}</span></div>`}
     <${Card} name="Rows of tonight" flush end=${html`<span class="mono">${file}</span>, version ${revision} <button class="btn sm soft" onClick=${() => { editing.value = !editing.value; }}>${editing.value ? "Close the draft" : "Edit a draft"}</button>`}><${Rows} rows=${rows} plan=${plan} /><//>
     ${editing.value && html`<${Editor} id=${id} onDone=${() => { editing.value = false; }} />`}<${Revisions} id=${id} />`;
