@@ -10,8 +10,10 @@ use contract::Address;
 
 use crate::problem::Problem;
 
-/// A forecast of the same schedule is made again after this: its overheads are measured in the night.
+/// A forecast of the same schedule is made again after this sky time ...
 const AGAIN: Duration = Duration::from_secs(180);
+/// ... and not sooner than this, however fast the sky goes.
+const SOONEST_AGAIN: Duration = Duration::from_secs(15);
 /// What could not be made is tried again after this, for whoever asks then.
 const FAILED_AGAIN: Duration = Duration::from_secs(10);
 
@@ -34,9 +36,10 @@ pub struct MadeForecast {
 }
 
 impl MadeForecast {
-    /// May it be answered now, with this schedule in force?
-    pub fn is_good(&self, now: MachineTime, in_force: Option<&str>) -> bool {
-        let again = if self.outcome.is_ok() { AGAIN } else { FAILED_AGAIN };
+    /// May it be answered now, under a sky of this speed and with this schedule in force?
+    pub fn is_good(&self, now: MachineTime, speed: f64, in_force: Option<&str>) -> bool {
+        let good = AGAIN.div_f64(speed.clamp(1.0, AGAIN.as_secs_f64() / SOONEST_AGAIN.as_secs_f64()));
+        let again = if self.outcome.is_ok() { good } else { FAILED_AGAIN };
         self.of.as_deref() == in_force && now.since(self.at) < again
     }
 }
@@ -53,14 +56,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_forecast_is_good_for_three_minutes_of_its_schedule_and_a_failure_for_ten_seconds() {
+    fn a_forecast_is_good_for_three_minutes_of_the_sky_and_a_failure_for_ten_seconds() {
         let at = MachineTime::from_boot(Duration::from_secs(1000));
         let made = |outcome| MadeForecast { at, of: Some("a".to_owned()), outcome };
         let after = |seconds| at.plus(Duration::from_secs(seconds));
         let whole = made(Ok(("tag".to_owned(), Bytes::new())));
-        assert!(whole.is_good(after(179), Some("a")) && !whole.is_good(after(181), Some("a")));
-        assert!(!whole.is_good(at, Some("b")) && !whole.is_good(at, None));
+        assert!(whole.is_good(after(179), 1.0, Some("a")) && !whole.is_good(after(181), 1.0, Some("a")));
+        assert!(whole.is_good(after(14), 300.0, Some("a")) && !whole.is_good(after(16), 300.0, Some("a")));
+        assert!(!whole.is_good(at, 1.0, Some("b")) && !whole.is_good(at, 1.0, None));
         let failed = made(Err(Problem::not_found("none")));
-        assert!(failed.is_good(after(9), Some("a")) && !failed.is_good(after(11), Some("a")));
+        assert!(failed.is_good(after(9), 1.0, Some("a")) && !failed.is_good(after(11), 1.0, Some("a")));
     }
 }

@@ -89,7 +89,7 @@ def test_four_telescopes_at_two_sites_are_on_one_page_and_all_end_well(starmesh,
         return any(all(state == ("closed", "unsafe") for name, state in now.items() if name.startswith(closed_site))
                    and any(state == ("open", "safe") for name, state in now.items() if name.startswith(open_site)) for now in all_seen)
     assert apart("ridge/", "demo/") and apart("demo/", "ridge/"), said
-    # the bad night: an alert of beta's mount while it hangs, and frames afterwards
+    # the bad night: an alert of beta's mount while it is lost, and frames afterwards
     alerts = [alert["id"] for network in seen for telescope in network["telescopes"] if telescope["id"] == "demo/beta" for alert in telescope["alerts"]]
     assert any("mount" in alert or "telescope" in alert for alert in alerts), sorted(set(alerts))
     answers_again = said.index("the mount of beta answers again")

@@ -83,6 +83,7 @@ fn plan(file: &ScheduleFile, question: &SchedulePlanQuestion, evidence: &Evidenc
         Err(error) => return problem(format!("the place of the site: {error}")),
     };
     site.unsafe_spans = question.unsafe_utc.iter().map(|[from, to]| (*from, *to)).collect();
+    site.begun.clone_from(&question.begun);
     let began = Instant::now();
     match forecast_while(rows, &mut site, &|| began.elapsed() < LONGEST) {
         Ok(Some(night)) => night.published(&site),

@@ -73,7 +73,8 @@ async fn the_forecast_of_a_draft_and_the_text_of_each_schedule_are_answered() {
     let published = site.schedule.get().unwrap().sample.body.sha256.unwrap();
 
     let plan = async |text: String, unsafe_utc| -> SchedulePlan {
-        ask(&site, Key::SchedulePlan(site.address.clone()), &SchedulePlanQuestion { text, unsafe_utc }).await
+        ask(&site, Key::SchedulePlan(site.address.clone()), &SchedulePlanQuestion { text, unsafe_utc, begun: None })
+            .await
     };
     let good = plan(text.clone(), vec![]).await;
     let row = &good.rows[0];

@@ -73,7 +73,7 @@ pub(super) fn endpoints() -> Vec<Endpoint> {
         .takes_media(JSONL)
         .gives::<SchedulePlan>("Each row with its begin, end, frames, altitudes, and why it is at risk."),
         Endpoint::get("/api/v1/telescopes/{site}/{telescope}/forecast", "forecast", VIEW, schedules::forecast)
-            .summary("What the schedule in force will do under a good sky, made once for all readers.")
+            .summary("What is left of the schedule in force, from now on under a good sky; made once for all readers.")
             .revalidates()
             .gives::<Forecast>("As of `simulate`, with the time at which it was made; the ETag changes with it."),
         Endpoint::get(

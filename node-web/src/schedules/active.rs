@@ -140,7 +140,7 @@ pub async fn simulate(
         .as_deref()
         .map(|spans| spans.split(',').map(span).collect())
         .unwrap_or_else(|| Ok(Vec::new()))?;
-    let plan = asked::plan(&server, &address, &SchedulePlanQuestion { text, unsafe_utc: spans }).await?;
+    let plan = asked::plan(&server, &address, &SchedulePlanQuestion { text, unsafe_utc: spans, begun: None }).await?;
     Ok((NEVER_CACHED, Json(plan)).into_response())
 }
 

@@ -4,8 +4,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
 use contract::observatory::{
-    ActionAnswer, ActionQuestion, NightState, ScheduleDraft, ScheduleFindings, SchedulePlan, SchedulePlanQuestion,
-    ScheduleState, ScheduleTextQuestion, ScheduleTexts,
+    ActionAnswer, ActionQuestion, NightState, RowStatus, ScheduleDraft, ScheduleFindings, SchedulePlan,
+    SchedulePlanQuestion, ScheduleState, ScheduleTextQuestion, ScheduleTexts,
 };
 use contract::{Accepted, Key, Order, OrderKind, Part, Reason, Refusal, Reply};
 use serde_json::{Value, json};
@@ -89,7 +89,8 @@ impl Observatory {
             async move {
                 let asked = asked.unwrap();
                 let mut plan: SchedulePlan = serde_json::from_value(sample("schedule.plan")).unwrap();
-                plan.problem = Some(format!("{} spans", asked.unsafe_utc.len()));
+                let begun = asked.begun.map(|begun| format!(", {} rows have begun", begun.rows.len()));
+                plan.problem = Some(format!("{} spans{}", asked.unsafe_utc.len(), begun.unwrap_or_default()));
                 plan
             }
         };
@@ -331,6 +332,8 @@ async fn a_forecast_is_made_once_for_all_who_look_and_again_for_another_schedule
     let (one, other, third) = tokio::join!(ask(vera.clone()), ask(vera.clone()), ask(vera.clone()));
     assert_eq!((one.status, &one.json()["sha256"]), (200, &json!(sha256(&row("old", 10)))), "{}", one.text);
     assert!(one.json()["rows"][0]["frames"] == 400 && one.json()["made_utc"].is_string(), "{}", one.text);
+    let have_begun = observatory.state.rows.iter().filter(|row| row.status != RowStatus::Pending).count();
+    assert_eq!(one.json()["problem"], format!("0 spans, {have_begun} rows have begun"));
     assert_eq!((one.text.as_str(), one.header("etag")), (other.text.as_str(), third.header("etag")));
     assert_eq!(one.header("cache-control"), Some("private, no-cache"));
     let known = format!("{vera}If-None-Match: {}\r\n", one.header("etag").unwrap());

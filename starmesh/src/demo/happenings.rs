@@ -13,9 +13,9 @@ const SHOWER_S: f64 = 720.0;
 const STORM_S: f64 = 2400.0;
 /// Over the limit of the demo's sites.
 const STORM_MPS: f64 = 19.0;
-/// A mount that hangs is noticed in machine time: at least so long in sky time, and in machine time. It begins shortly
+/// A lost mount is noticed in machine time: at least so long in sky time, and in machine time. It begins shortly
 /// before a row needs the mount, and ends while the row's window is open.
-const HANG_S: (f64, f64) = (1200.0, 20.0);
+const LOST_S: (f64, f64) = (1200.0, 25.0);
 
 /// Something that begins or ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,8 +24,8 @@ pub enum What {
     Rain(bool),
     /// The wind at a site is over its limit.
     Storm(bool),
-    /// A mount answers nothing.
-    MountHangs(bool),
+    /// A mount drops every connection.
+    MountLost(bool),
 }
 
 /// Something that happens to one of the simulated observatories.
@@ -40,7 +40,7 @@ pub struct Happening {
 }
 
 /// All of the night in the order of time: a shower over the first site; where there are more, a storm over the second one,
-/// and a mount of the first site that hangs for a while.
+/// and a mount of the first site that is lost for a while.
 pub fn happenings(plans: &[Plan], speed: f64) -> Vec<Happening> {
     let mut all = Vec::new();
     let mut lasting = |telescope: usize, from: Utc, seconds: f64, what: fn(bool) -> What| {
@@ -57,13 +57,13 @@ pub fn happenings(plans: &[Plan], speed: f64) -> Vec<Happening> {
         }
     }
     if let Some(bad) = bad_night(plans) {
-        lasting(bad, plans[bad].night.at(0.195), HANG_S.0.max(HANG_S.1 * speed), What::MountHangs);
+        lasting(bad, plans[bad].night.at(0.195), LOST_S.0.max(LOST_S.1 * speed), What::MountLost);
     }
     all.sort_by_key(|happening| happening.at);
     all
 }
 
-/// The telescope whose mount hangs, by its place.
+/// The telescope whose mount is lost, by its place.
 pub fn bad_night(plans: &[Plan]) -> Option<usize> {
     (plans.len() > 1).then_some(1)
 }
@@ -86,11 +86,11 @@ pub async fn play(happenings: Vec<Happening>, plans: &[Plan], simulators: &[Simu
                 world.set_weather(Quantity::WindGust, storm(is_on).map(|mps| 1.3 * mps));
                 plan.is_first_of_site().then(|| format!("{} over {}", begins("a storm", is_on), plan.telescope.site))
             }
-            What::MountHangs(true) => {
-                world.fault(Kind::Telescope, Fault::hang());
-                Some(format!("the mount of {} hangs", plan.telescope.name))
+            What::MountLost(true) => {
+                world.fault(Kind::Telescope, Fault::refuse());
+                Some(format!("the mount of {} is lost", plan.telescope.name))
             }
-            What::MountHangs(false) => {
+            What::MountLost(false) => {
                 world.clear_faults();
                 Some(format!("the mount of {} answers again", plan.telescope.name))
             }
@@ -123,8 +123,8 @@ mod tests {
                 all.iter().filter(|one| one.telescope == telescope).map(|one| one.what).collect()
             };
             let (rain, storm) = ([What::Rain(true), What::Rain(false)], [What::Storm(true), What::Storm(false)]);
-            let hangs = [What::MountHangs(true), What::MountHangs(false)];
-            assert_eq!([of(0), of(1)], [rain.to_vec(), [hangs, rain].concat()]);
+            let lost = [What::MountLost(true), What::MountLost(false)];
+            assert_eq!([of(0), of(1)], [rain.to_vec(), [lost, rain].concat()]);
             assert_eq!([of(2), of(3)], [storm.to_vec(), storm.to_vec()]);
             for one in &all {
                 let night = &plans[one.telescope].night;

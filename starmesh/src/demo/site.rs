@@ -177,7 +177,9 @@ impl Plan {
         };
         row("cool_camera", json!({}), night.start.plus_seconds(60.0), night.dusk);
         row("open", json!({}), night.dusk, night.dawn);
-        for ((name, ra_deg, dec_deg, start, end), filter) in self.slots.iter().zip(FILTERS.iter().cycle()) {
+        // Coarse pixels are full of sky without a filter.
+        let filters = if self.shares { FILTERS.get(..4).unwrap_or(&FILTERS) } else { &FILTERS };
+        for ((name, ra_deg, dec_deg, start, end), filter) in self.slots.iter().zip(filters.iter().cycle()) {
             let value = json!({
                 "object": name, "ra": ra_deg, "dec": dec_deg, "exptime": 120.0, "n": 20, "filter": filter,
                 "pointing": true, "guiding": true,
@@ -205,7 +207,7 @@ impl Plan {
         }
         if self.shares {
             text.push_str(&format!(
-                "\n[faults]\nretries = 0\n\n[shared]\nsafetymonitor = [\"monitor\"]\nobservingconditions = [\"weather\"]\ndwell_min = 15.0\n{LIMITS}"
+                "\n[faults]\nretries = 1\n\n[shared]\nsafetymonitor = [\"monitor\"]\nobservingconditions = [\"weather\"]\ndwell_min = 15.0\n{LIMITS}"
             ));
         } else {
             block(&mut text, simulator, "safetymonitor", "monitor", "dwell_min = 15.0\n");

@@ -45,6 +45,15 @@ def stars(width: int, height: int) -> bytes:
     return sky.tobytes()
 
 
+def said(line: dict, search: dict) -> bool:
+    """Does a line of the log meet the conditions of a search, whatever its time is?"""
+    levels = ["error", "warn", "info"]
+    node = search.get("node")
+    return (search.get("text", "").lower() in line["message"].lower()
+            and levels.index(line["level"]) <= levels.index(search.get("level", "info"))
+            and (node is None or line["node"] == node or line["node"].startswith(f"{node}/")))
+
+
 class Recording:
     def __init__(self, file: str):
         with open(file, encoding="utf-8") as lines:
@@ -77,6 +86,8 @@ class Recording:
                     search = ask.get("find_frames", {}) if isinstance(ask, dict) else {}
                     if search.get("image_type"):
                         found["rows"] = [row for row in found["rows"] if search["image_type"].lower() in (row["found_frame"].get("image_type") or "").lower()]
+                    if name == "find_log":
+                        found["rows"] = [row for row in found["rows"] if said(row["log"], ask["find_log"])]
                     return found
             return {"rows": [], "truncated": False}
         if path == "archive/frame":

@@ -88,7 +88,7 @@ def main(endpoint: str, file: str) -> None:
     found = answer("archive/history", {"ask": {"find_frames": {}}, "limit": 24})
     answer("archive/history", {"ask": "frames", "limit": 10})
     answer("archive/history", {"ask": "corrections", "limit": 120})
-    answer("archive/history", {"ask": "log", "limit": 100})
+    answer("archive/history", {"ask": {"find_log": {}}, "limit": 100})
     answer("archive/history", {"ask": "audit", "limit": 10})
     frames = [row["found_frame"] for row in (found or {"rows": []})["rows"]]
     if frames:

@@ -38,7 +38,10 @@ pub use guiding::{
 pub use night::{ActionNow, Lease, NightState, OrderTaken, Posture};
 pub use operator_orders::{CONTROL_LAPSES_S, OperatorOrders, Ordered, Override, Shelved};
 pub use optics::{Optics, OpticsState, ZeroPoint};
-pub use plan::{AltitudePoint, NightPlan, OverheadFigure, RowPlan, SchedulePlan, SchedulePlanQuestion, SensorFigure};
+pub use plan::{
+    AltitudePoint, NightPlan, OverheadFigure, PlanBegun, RowBegun, RowPlan, SchedulePlan, SchedulePlanQuestion,
+    SensorFigure,
+};
 pub use pointing::{PointingCheck, PointingModel, PointingPoint, PointingState};
 pub use safety::{InputLimit, InputState, Interval, Permit, SafetyState, Sector, Unsafe, Verdict};
 pub use schedule::{RowState, RowStatus, ScheduleState};

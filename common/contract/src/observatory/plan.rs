@@ -15,6 +15,31 @@ pub struct SchedulePlanQuestion {
     /// Spans of sky time, begin and end, in which the weather is not safe.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unsafe_utc: Vec<[Utc; 2]>,
+    /// What has happened of it already; where absent, nothing has, and the forecast begins with its first row.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub begun: Option<PlanBegun>,
+}
+
+/// How far a schedule is whose rest is forecast.
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+pub struct PlanBegun {
+    /// The forecast begins at this sky time.
+    pub at_utc: Utc,
+    /// The roof is open then.
+    pub open: bool,
+    /// Rows that have begun; one that is at work goes on with the frames that it lacks.
+    pub rows: Vec<RowBegun>,
+}
+
+/// How far a row is.
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+pub struct RowBegun {
+    /// Its place in the schedule, from 0.
+    pub row: u32,
+    /// Its status.
+    pub status: RowStatus,
+    /// Frames that it has taken.
+    pub frames: u32,
 }
 
 impl Payload for SchedulePlanQuestion {

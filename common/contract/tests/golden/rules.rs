@@ -171,6 +171,7 @@ fn words() -> BTreeMap<String, BTreeMap<String, Vec<String>>> {
     put("archive.question", "ask", words_of::<archive::Ask>(json!("?")));
     put("archive.question", "ask.readings.kind", words_of::<Kind>(json!("?")));
     put("archive.question", "ask.series.properties.*.kind", words_of::<Kind>(json!("?")));
+    put("schedule.plan_question", "begun.rows.*.status", words_of::<observatory::RowStatus>(json!("?")));
     put("archive.question", "ask.find_log.level", words_of::<node::Level>(json!("?")));
     put("archive.answer", "rows.*.series.kind", words_of::<Kind>(json!("?")));
     put("archive.answer", "rows.*", words_of::<archive::ArchiveRow>(json!("?")));

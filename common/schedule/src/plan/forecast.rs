@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use ::sky::{SkyError, night_date};
-use contract::observatory::RowStatus;
+use contract::observatory::{RowBegun, RowStatus};
 use safety::objection::{Objection, stands_against};
 use units::{Angle, Utc};
 
@@ -79,7 +79,8 @@ pub fn forecast_while(
     let (world, at_work, light) = (World::default(), Vec::new(), Vec::new());
     let hidden = BTreeMap::new();
     let mut forecast = Forecast { site, sequence, world, safe, last, at_work, hidden, rows: planned, light };
-    if !forecast.run(first, goes_on) {
+    let begins = forecast.go_on_from(first);
+    if !forecast.run(begins, goes_on) {
         return Ok(None);
     }
     let Forecast { site, world, rows, light, .. } = forecast;
@@ -90,6 +91,25 @@ pub fn forecast_while(
 }
 
 impl Forecast<'_> {
+    /// Takes over what has happened already; returns when the forecast begins.
+    fn go_on_from(&mut self, first: Utc) -> Utc {
+        let Some(begun) = self.site.begun.clone() else { return first };
+        let begins = first.max(begun.at_utc);
+        if begun.open {
+            self.world.open(begins);
+        }
+        for RowBegun { row, status, frames } in begun.rows {
+            let index = row as usize;
+            // Nothing works at it here; it goes on where its sky is safe.
+            let status = if status == RowStatus::Running { RowStatus::Interrupted } else { status };
+            self.sequence.set(index, status);
+            if let Some(planned) = self.rows.get_mut(index) {
+                (planned.status, planned.frames) = (status, frames);
+            }
+        }
+        begins
+    }
+
     /// Works as the observatory node does, with a clock that jumps; false where it was given up.
     fn run(&mut self, first: Utc, goes_on: &dyn Fn() -> bool) -> bool {
         let mut now = first;

@@ -35,6 +35,7 @@ use std::sync::Arc;
 use ::sky::SkyError;
 use config::Observatory;
 use contract::Name;
+use contract::observatory::PlanBegun;
 use units::Utc;
 
 use self::sky::Sky;
@@ -49,6 +50,8 @@ pub struct Site {
     pub overheads: Overheads,
     /// Spans during which the weather closes it, sorted or not.
     pub unsafe_spans: Vec<(Utc, Utc)>,
+    /// What has happened of the schedule already; where absent, nothing has.
+    pub begun: Option<PlanBegun>,
     /// The horizon limits of each mount; a horizon that cannot be read hides nothing, as in the observatory node.
     horizon_limits: BTreeMap<Name, HorizonLimits>,
     sky: Sky,
@@ -63,6 +66,6 @@ impl Site {
         let sky = Sky::of(&config.place)?;
         let limits = |mount| HorizonLimits::of(&config, mount).unwrap_or_else(|(without, _)| without);
         let horizon_limits = config.telescope.iter().map(|mount| (mount.common.name.clone(), limits(mount))).collect();
-        Ok(Self { config, overheads, unsafe_spans: Vec::new(), horizon_limits, sky })
+        Ok(Self { config, overheads, unsafe_spans: Vec::new(), begun: None, horizon_limits, sky })
     }
 }
