@@ -85,7 +85,7 @@ fn rows(
     if has(Kind::Dome) {
         row("The dome opens once it is dark (nautical dusk), if the sky allows it.", "open", json!({}), dusk, dawn);
     }
-    let mut value = json!({ "object": name, "exptime": 60.0, "n": 20 });
+    let mut value = json!({ "object": name, "exptime": 120.0, "n": 20 });
     if has(Kind::Telescope)
         && let Value::Object(value) = &mut value
     {
@@ -108,8 +108,8 @@ fn rows(
         row(about, "object", json!(value), later(2.0), observed);
     }
     row("Everything is closed and parked.", "close", json!({}), later(3.0), dawn.plus_seconds(3600.0));
-    let dark = json!({ "exptime": [0.0, 60.0], "n": [5, 3] });
-    row("Five bias frames, and three darks of 60 s.", "calibration", dark, later(4.0), dawn.plus_seconds(7200.0));
+    let dark = json!({ "exptime": [0.0, 120.0], "n": [5, 3] });
+    row("Five bias frames, and three darks of 120 s.", "calibration", dark, later(4.0), dawn.plus_seconds(7200.0));
     row(
         "Headers are completed with what was measured meanwhile.",
         "complete_headers",
