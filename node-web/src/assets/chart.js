@@ -1,11 +1,20 @@
 // Charts over time: panels one below the other with one cursor (uPlot). The far side of a limit is hatched, and no line crosses a gap.
-import { html, useEffect, useRef, useSignal } from "./lib.js";
+import { html, signal, useEffect, useRef, useSignal } from "./lib.js";
 import { clock, hourMinute, number } from "./format.js";
 import { TimeTools, useTimeView } from "./timeview.js";
-import uPlot from "./vendor/uplot.js";
 
-/** @type {any} */
-const Plot = uPlot;
+/** @type {any} uPlot, once it has come: a page is there before its charts. */
+const library = signal(null);
+const missing = signal(false);
+let fetching = false;
+function fetchLibrary() {
+  if (fetching) return;
+  fetching = true;
+  import("./vendor/uplot.js").then((found) => { library.value = found.default; }, (error) => {
+    console.warn("the charts' library has not come", error);
+    missing.value = true;
+  });
+}
 const LEFT = 56;
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const SERIES = ["--s1", "--s2", "--s3", "--s4"];
@@ -120,9 +129,9 @@ function seriesOf(one, i) {
   const name = one.colour ?? SERIES[i % SERIES.length];
   const colour = () => css(name);
   if (one.kind === "dots") return { label: one.name, stroke: colour, paths: () => null, points: { show: true, size: one.size ?? 5, stroke: colour, fill: colour, width: 0 } };
-  if (one.kind === "bars") return { label: one.name, stroke: colour, fill: colour, paths: uPlot.paths.bars({ size: [0.6, 6] }), points: { show: false } };
+  if (one.kind === "bars") return { label: one.name, stroke: colour, fill: colour, paths: library.peek().paths.bars({ size: [0.6, 6] }), points: { show: false } };
   return { label: one.name, stroke: colour, width: one.width ?? 1.6, dash: one.dash ?? (document.documentElement.dataset.theme === "night" ? DASH[name] : undefined), points: { show: one.points.length < 3 }, spanGaps: false,
-    ...(one.stepped && { paths: uPlot.paths.stepped({ align: 1 }) }) };
+    ...(one.stepped && { paths: library.peek().paths.stepped({ align: 1 }) }) };
 }
 
 function options(panel, shared, width, last, onAt) {
@@ -182,8 +191,10 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, label, plain =
     observer.observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
     return () => observer.disconnect();
   }, []);
-  const shape = JSON.stringify([theme.value, t0, t1, now && Math.round(now / 60000), unsafe, marks, panels.map((panel) => [panel.name, panel.limits, panel.series.map((one) => [one.name, one.points.length, one.points[0], one.points[one.points.length - 1]])])]);
+  const Plot = library.value;
+  const shape = JSON.stringify([Boolean(Plot), theme.value, t0, t1, now && Math.round(now / 60000), unsafe, marks, panels.map((panel) => [panel.name, panel.limits, panel.series.map((one) => [one.name, one.points.length, one.points[0], one.points[one.points.length - 1]])])]);
   useEffect(() => {
+    if (!Plot) return void fetchLibrary();
     const element = place.current;
     let making = false;
     const moved = (t) => {
@@ -232,6 +243,7 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, label, plain =
       const found = nearest(one.points, at.value ?? now ?? t1);
       return html`<span class="nw" key=${one.name}>${one.name && html`<span class="m">${one.name}</span> `}<b>${found ? number(found[1], panel.digits ?? 1) : "—"}</b> </span>`;
     })}<span class="m">${panel.unit ?? ""}${at.value ? ` at ${clock(at.value)}` : ""}</span></span></div><div class="plot"></div></div>`)}</div>
+    ${missing.value && html`<p class="m">The server did not send what draws charts; load the page again.</p>`}
     ${marks?.length > 0 && !plain && html`<p class="tagline">${marks.map((mark) => `${clock(mark.t)} ${mark.text}`).join(" · ")}</p>`}
     ${!plain && html`<${TimeTools} view=${view} at=${at.value} pick=${pick.value} />`}</div>`;
 }

@@ -83,3 +83,8 @@ export function plain(value) {
   if (typeof value === "object") return "no_data" in value ? "—" : JSON.stringify(value);
   return String(value);
 }
+
+/** The name of a night, `20261120`, of a moment: UTC noon divides. */
+export const nightOf = (ms) => new Date(ms - 12 * 3600e3).toISOString().slice(0, 10).replaceAll("-", "");
+/** `Fri 20 Nov` of a night's name. */
+export const nightDay = (night) => day(`${night.slice(0, 4)}-${night.slice(4, 6)}-${night.slice(6, 8)}T12:00:00Z`);

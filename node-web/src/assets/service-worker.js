@@ -16,7 +16,7 @@ async function gather() {
     await shell.put(path, response.clone());
     if (!/html|javascript|css/.test(response.headers.get("content-type") ?? "")) continue;
     const text = await response.text();
-    for (const [, found] of text.matchAll(/(?:from\s*|src=|href=)"(\/assets\/[^"]+|\.[^"]+\.js)"/g)) paths.add(new URL(found, new URL(path, location.origin)).pathname);
+    for (const [, found] of text.matchAll(/(?:from\s*|import\(|src=|href=)"(\/assets\/[^"]+|\.[^"]+\.js)"/g)) paths.add(new URL(found, new URL(path, location.origin)).pathname);
     for (const [, found] of text.matchAll(/url\("?(?!data:)([^")]+)"?\)/g)) paths.add(new URL(found, new URL(path, location.origin)).pathname);
   }
 }

@@ -6,7 +6,7 @@ import { Field, title, valuesOf } from "../form.js";
 import { clock, duration } from "../format.js";
 import { Card, Dialog, Icon, Loaded, Table, standing } from "../parts.js";
 import { ageOf, tick, useTopic } from "../store.js";
-import { inputValue } from "./weather.js";
+import { inputValue } from "../inputs.js";
 import { me } from "../user.js";
 
 const HOLD_MS = 1500;

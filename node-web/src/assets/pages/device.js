@@ -5,7 +5,7 @@ import { clock, field, plain } from "../format.js";
 import { Age, Card, Empty, Icon, Stat, Table } from "../parts.js";
 import { route } from "../route.js";
 import { quality, skySpeed, tick, useTopic } from "../store.js";
-import { Devices } from "./telescope.js";
+import { Devices } from "../devicelist.js";
 import { History } from "../history.js";
 
 /** Age of one reading: by the sender's own two stamps, plus how long ago they came; no clock but the sender's is asked twice. */

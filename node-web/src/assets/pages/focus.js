@@ -2,11 +2,10 @@
 import { html, useMemo } from "../lib.js";
 import { useGet, useReport } from "../api.js";
 import { Chart } from "../chart.js";
-import { clock, number, plain } from "../format.js";
+import { clock, nightOf, number, plain } from "../format.js";
 import { Age, Card, Empty, Loaded, Stat, Table } from "../parts.js";
 import { Plane } from "../plane.js";
 import { ageOf, quality, skyNow, tick, useTopic } from "../store.js";
-import { nightOf } from "./frames.js";
 
 const words = (value) => String(value ?? "—").replaceAll("_", " ");
 

@@ -1,18 +1,13 @@
 // Frames: a search in the archive, as pictures or as a table.
 import { html, useSignal } from "../lib.js";
 import { useGet } from "../api.js";
-import { clock, day, number, plain } from "../format.js";
+import { clock, nightDay, nightOf, number, plain } from "../format.js";
 import { Card, Empty, Icon, Loaded, Segment, Table } from "../parts.js";
 import { go, route, withQuery } from "../route.js";
 import { net, skyNow, tick } from "../store.js";
 
 const FILTERS = ["night", "object", "filter", "image_type", "fwhm_max_arcsec", "stars_min"];
 const MOST = 300;
-
-/** The name of a night, `20261120`, of a moment: UTC noon divides. */
-export const nightOf = (ms) => new Date(ms - 12 * 3600e3).toISOString().slice(0, 10).replaceAll("-", "");
-/** `Fri 20 Nov` of a night's name. */
-export const nightDay = (night) => day(`${night.slice(0, 4)}-${night.slice(4, 6)}-${night.slice(6, 8)}T12:00:00Z`);
 
 /** What is worth a word about a frame. */
 export const flaw = (frame) => [frame.trailed && "trailed", frame.header_complete === false && "header incomplete"].filter(Boolean).join(", ");

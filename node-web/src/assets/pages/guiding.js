@@ -1,26 +1,16 @@
 // Guiding: is it good, what was corrected, and why; error, pulse and stars on one cursor.
-import { html, useMemo, useSignal } from "../lib.js";
-import { useGet } from "../api.js";
+import { html, useSignal } from "../lib.js";
 import { Chart, broken } from "../chart.js";
+import { useCorrections } from "../corrections.js";
 import { clock, number } from "../format.js";
 import { Age, Card, Empty, Loaded, Segment, Stat, Table } from "../parts.js";
 import { Plane } from "../plane.js";
-import { ageOf, quality, skyNow, tick, useTopic } from "../store.js";
+import { ageOf, quality, tick, useTopic } from "../store.js";
 
 const HOURS = [[0.25, "15 min"], [2, "2 h"], [12, "Night"]];
 const words = (why) => String(why ?? "—").replaceAll("_", " ");
 const sentence = (text) => (text ? `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}` : "");
 const rms = (values) => { const known = values.filter(Number.isFinite); return known.length ? Math.sqrt(known.reduce((sum, v) => sum + v * v, 0) / known.length) : null; };
-
-/** The corrections of the newest hours, the oldest first. */
-export function useCorrections(id, hours) {
-  const now = useSignal(null);
-  if (now.peek() === null && skyNow()) now.value = skyNow();
-  const found = useGet(now.value && `/api/v1/telescopes/${id}/guiding/corrections?from_utc=${new Date(now.value - hours * 3600e3).toISOString()}&limit=3000`, 20);
-  const corrections = (found.data?.rows ?? []).map((row) => row.correction).filter(Boolean).sort((a, b) => (a.mid_utc < b.mid_utc ? -1 : 1));
-  const t1 = useMemo(() => skyNow(), [found.at]);
-  return { ...found, corrections, t1 };
-}
 
 function Now({ entry }) {
   const age = ageOf(entry);

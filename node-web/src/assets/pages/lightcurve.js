@@ -2,10 +2,9 @@
 import { html, useSignal } from "../lib.js";
 import { useGet, useReport } from "../api.js";
 import { Chart, broken } from "../chart.js";
-import { clock, number } from "../format.js";
+import { clock, nightOf, number } from "../format.js";
 import { Card, Empty, Loaded, Stat } from "../parts.js";
 import { skyNow } from "../store.js";
-import { nightOf } from "./frames.js";
 
 const median = (values) => { const sorted = [...values].sort((a, b) => a - b); return sorted.length ? sorted[Math.floor(sorted.length / 2)] : null; };
 const scatter = (values) => { const middle = median(values); return middle === null ? null : 1.4826 * median(values.map((value) => Math.abs(value - middle))); };

@@ -1,29 +1,15 @@
 // All telescopes, the ones that need somebody first; and one sentence on all of them.
 import { html, useSignal } from "../lib.js";
+import { activity } from "../activity.js";
 import { CloseButton } from "../close.js";
-import { clock, duration, number } from "../format.js";
+import { clock, duration, nightOf, number } from "../format.js";
 import { arrived, Picture } from "../image.js";
 import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segment, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, urgency } from "../parts.js";
-import { bySite, doing, inputWords } from "../shell.js";
+import { bySite, doing } from "../shell.js";
 import { ageOf, link, net, quality, skyNow, skySpeed, tick, useTopic } from "../store.js";
 import { devicesOf, known } from "../devices.js";
 import { Nights } from "../night.js";
-import { nightOf } from "./frames.js";
-import { limitsOf } from "./weather.js";
-
-/** What a telescope does, in a title and a sentence. */
-export function activity(summary, now) {
-  if (now.stopped) return ["Stopped", now.stopped.text];
-  if (!now.fresh && link.value !== "live") return ["Not known without a link", `Last known: ${summary.now || "nothing under way"}.`];
-  if (!now.fresh) return [now.never ? "Nothing received" : "Observatory node silent", [summary.now, ...now.domes].filter(Boolean).join(". ")];
-  const [first, ...more] = summary.activity ?? [];
-  if (first) return [`${sentence(first.action)} ${first.object ?? ""}`.trim(), [first.step, more.length && `and ${more.length} more`].filter(Boolean).join(", ")];
-  const { reasons = [], time_to_safe_s: wait } = summary.safety ?? {};
-  // The words of the server, which `starmesh status` prints too.
-  const cause = sentence(summary.now || "nothing under way");
-  return [cause, now.safety !== "safe" && reasons.length ? `${inputWords(reasons[0].input)}: ${reasons[0].why}${wait ? `. Opens in ${duration(wait)} at the earliest` : ""}.` : ""];
-}
-const sentence = (word) => { const plain = String(word).replaceAll("_", " "); return { object: "Observing" }[word] ?? plain[0].toUpperCase() + plain.slice(1); };
+import { limitsOf } from "../inputs.js";
 
 /** Does it need somebody, and how urgently? */
 const needs = (summary) => urgency(summary) <= 3;

@@ -1,11 +1,10 @@
 // The report of a night: every second has a cause; targets, quality, alerts and orders.
 import { html } from "../lib.js";
 import { useReport } from "../api.js";
-import { bytes, clock, duration, number, plain } from "../format.js";
+import { bytes, clock, duration, nightDay, nightOf, number, plain } from "../format.js";
 import { Card, Empty, Icon, Loaded, Stat, Table } from "../parts.js";
 import { go, route, withQuery } from "../route.js";
 import { net, skyNow } from "../store.js";
-import { nightDay, nightOf } from "./frames.js";
 
 const CLASS = { open_shutter: ["c-ex", "Shutter open"], overhead: ["c-ov", "Overheads"], idle: ["c-wa", "Waiting"], daytime: ["c-ro", "Daytime"], weather: ["c-we", "Weather"], fault: ["c-fa", "Fault"], unexplained: ["c-un", "Not accounted"] };
 const day = 86400e3;

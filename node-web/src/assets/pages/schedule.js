@@ -2,13 +2,13 @@
 import { html, useEffect, useRef, useSignal } from "../lib.js";
 import { ask, useGet, useReport } from "../api.js";
 import { note } from "../close.js";
-import { clock, duration, hourMinute, number } from "../format.js";
+import { useForecast } from "../forecast.js";
+import { clock, duration, hourMinute, nightOf, number } from "../format.js";
 import { Night } from "../night.js";
 import { Card, Dialog, Empty, Loaded, Table } from "../parts.js";
 import { RowForm, rowOf } from "../row.js";
 import { useSite } from "../site.js";
 import { skyNow, tick, useTopic } from "../store.js";
-import { nightOf } from "./frames.js";
 
 const SHAPES = { pending: "·", running: "▶", interrupted: "‖", finished: "✓", failed: "✕", skipped: "–" };
 const base = (id) => `/api/v1/telescopes/${id}/schedule`;
@@ -143,30 +143,11 @@ function Revisions({ id }) {
   return html`<${Card} name="Schedules that were in force" flush><${Loaded} of=${found} what="The list">${(list) => html`<${Table} label="Revisions" columns=${[{ key: "v", name: "Version", num: true }, { key: "t", name: "From" }, { key: "a", name: "By" }, { key: "r", name: "Why" }, { key: "n", name: "Rows", num: true }]} rows=${list} keyOf=${(one) => one.version} cells=${(one) => html`<td class="num"><a href=${`${base(id)}/revisions/${one.version}`} target="_blank">${one.version}</a></td><td>${clock(one.at_utc)}</td><td>${one.author}</td><td>${one.reason ?? ""}</td><td class="num">${one.rows}</td>`} />`}<//><//>`;
 }
 
-/** The forecast of the schedule in force, made anew each few minutes. */
-export function useForecast(id, revision) {
-  const state = useSignal(null);
-  useEffect(() => {
-    let gone = false;
-    const run = async () => {
-      try {
-        const { text } = await textInForce(id);
-        const plan = await ask(`${base(id)}/simulate`, { method: "POST", headers: JSONL, body: text });
-        if (!gone) state.value = plan;
-      } catch { /* without a forecast the rest is still shown */ }
-    };
-    run();
-    const timer = setInterval(() => document.visibilityState === "visible" && run(), 180e3);
-    return () => { gone = true; clearInterval(timer); };
-  }, [id, revision]);
-  return state.value;
-}
-
 export function Schedule({ id }) {
   tick.value; // eslint-disable-line no-unused-expressions
   const states = useTopic(`tel/${id}/observatory/schedule`);
   const entry = states?.get(`${id}/observatory/schedule/state`);
-  const plan = useForecast(id, entry?.body.revision);
+  const plan = useForecast(id);
   const site = useSite(id, null);
   const editing = useSignal(false);
   const report = useReport(id, skyNow() && nightOf(skyNow()));

@@ -1,21 +1,21 @@
 // One telescope now: what it does, why, until when, what it waits for; its night, its image, its devices.
 import { html, useMemo } from "../lib.js";
 import { Chart, broken } from "../chart.js";
-import { devicesOf, exposure, stateWords, values } from "../devices.js";
-import { clock, duration, hourMinute, number, plain } from "../format.js";
+import { Devices } from "../devicelist.js";
+import { devicesOf, exposure } from "../devices.js";
+import { clock, duration, hourMinute, nightOf, number, plain } from "../format.js";
 import { arrived, Picture } from "../image.js";
 import { Night } from "../night.js";
-import { nightOf } from "./frames.js";
 import { useGet, useReport } from "../api.js";
 import { SkyMap } from "../sky.js";
 import { useSite } from "../site.js";
-import { useForecast } from "./schedule.js";
-import { Age, Card, Empty, Icon, Priority, Stat, Table, Time, standing } from "../parts.js";
+import { useForecast } from "../forecast.js";
+import { Age, Card, Empty, Priority, Stat, Table, Time, standing } from "../parts.js";
 import { ageOf, quality, skyNow, tick, useTopic } from "../store.js";
 import { inputWords } from "../shell.js";
-import { useCorrections } from "./guiding.js";
-import { activity } from "./network.js";
-import { inputValue } from "./weather.js";
+import { useCorrections } from "../corrections.js";
+import { activity } from "../activity.js";
+import { inputValue } from "../inputs.js";
 
 const body = (states, key) => states?.get(key)?.body;
 
@@ -140,22 +140,12 @@ function FramesCard({ id, summary, states }) {
   return html`<${Card} label="Frames" testid="frames-card"><header><h2><a href=${`/t/${id}/frames`}>Frames</a></h2><span class="end">night so far</span></header><div class="stats three"><${Stat} name="Taken" value=${report.data?.disk?.frames ?? summary.frames} /><${Stat} name="Refused" value=${report.data ? report.data.refused_frames?.length ?? 0 : null} /><${Stat} name="To archive" value=${spooled} /></div><//>`;
 }
 
-export function Devices({ id, states }) {
-  const devices = devicesOf(states);
-  const connected = devices.filter((device) => !device.lost).length;
-  return html`<${Card} name="Devices" flush testid="devices" end=${`${connected} of ${devices.length} connected`}>
-    ${devices.length ? html`<${Table} label="Devices" cls="cards" columns=${[{ key: "d", name: "Device" }, { key: "s", name: "State" }, { key: "v", name: "Values" }, { key: "a", name: "Age", num: true }, { key: "p", name: "Period", num: true, cls: "hidep" }]} rows=${devices} keyOf=${(device) => device.key}
-      rowProps=${(device) => ({ "data-quality": device.worth, "data-testid": "device", "data-device": `${device.kind}/${device.name}`, "data-link": device.body.link?.is ?? "unknown" })}
-      cells=${(device) => html`<td class="k"><a href=${`/t/${device.site}/${device.telescope}/devices/${device.kind}/${device.name}`}><${Icon} name=${device.icon} />${device.name} <span class="mm">${device.kind}${device.telescope === "shared" ? ", shared" : ""}</span></a></td><td>${device.lost ? html`<b class="ink-p2">no link</b>` : stateWords(device)}</td>
-        <td class="full"><span class="row wrap">${values(device).map(([value, unit], i) => html`<span class="nw" key=${i}><b>${value}</b> ${unit}</span>`)}</span></td><td class="num"><${Age} s=${device.age} worth=${device.worth} /></td><td class="num hidep mm">${plain(device.entry.period_s)} s</td>`} />` : html`<p class="m">No device has published yet.</p>`}<//>`;
-}
-
 /** Past, now and forecast on one axis. */
 function NightCard({ id, states, site }) {
   const schedule = body(states, `${id}/observatory/schedule/state`);
   const night = skyNow() && nightOf(skyNow());
   const report = useReport(id, night);
-  const plan = useForecast(id, schedule?.revision);
+  const plan = useForecast(id);
   if (!skyNow()) return null;
   return html`<${Card} name="The night" cls="tl" testid="night" end=${html`<span class="key">exposed</span><span class="key dash">forecast</span><span class="desk">hatched: closed for weather</span>`}><${Night} rows=${schedule?.rows} plan=${plan?.rows} report=${report.data} verdicts=${body(states, `${id}/observatory/safety/state`)?.intervals} site=${site} now=${skyNow()} /><//>`;
 }

@@ -2,7 +2,7 @@
 import { html } from "../lib.js";
 import { Age, Empty, Icon, Priority, PRIORITIES, Words, postureIcon, standing, urgency } from "../parts.js";
 import { net, tick } from "../store.js";
-import { activity } from "./network.js";
+import { activity } from "../activity.js";
 
 export function Wall() {
   tick.value; // eslint-disable-line no-unused-expressions
