@@ -28,7 +28,7 @@ const fn crowded(name: &'static str, ra_deg: f64, dec_deg: f64) -> NamedField {
 pub const M_42: NamedField = crowded("M 42", 83.818667, -5.389667);
 
 /// All of them.
-pub const FIELDS: [NamedField; 22] = [
+pub const FIELDS: [NamedField; 24] = [
     crowded("47 Tuc", 6.022333, -72.081444),
     sparse("M 31", 10.684792, 41.269056),
     sparse("NGC 253", 11.888, -25.288222),
@@ -50,7 +50,9 @@ pub const FIELDS: [NamedField; 22] = [
     crowded("M 7", 268.46325, -34.792833),
     crowded("M 22", 279.100833, -23.903417),
     sparse("HAT-P-11", 297.709356, 48.080868),
+    crowded("M 2", 323.362583, -0.82325),
     sparse("HD 209458", 330.794892, 18.884323),
+    sparse("NGC 7293", 337.410583, -20.837111),
 ];
 
 #[cfg(test)]

@@ -77,8 +77,6 @@ class Recording:
                 rows = [row for one in ask["series"]["properties"] for row in self.series(one)]
                 return {"rows": rows, "truncated": False}
             name = ask if isinstance(ask, str) else next(iter(ask))
-            if name == "find_log":
-                return self.log(ask["find_log"])
             for line in self.answers:
                 known = line["asks"].get("ask")
                 if line["question"] == path and (known == name or isinstance(known, dict) and name in known):
@@ -104,15 +102,6 @@ class Recording:
         same = [line for line in self.answers if line["question"] == path]
         exact = [line for line in same if set(line["asks"]) == set(asked)]
         return (exact or same or [{"answer": None}])[0]["answer"]
-
-    def log(self, search: dict) -> dict:
-        """The recorded lines that an archive would find, whatever their times are."""
-        levels = ["error", "warn", "info", "debug", "trace"]
-        rows = self.answer("archive/history", {"ask": "log"})["rows"]
-        least = levels.index(search.get("level") or "trace")
-        text, node = (search.get("text") or "").lower(), search.get("node")
-        return {"rows": [row for row in rows if levels.index(row["log"]["level"]) <= least and text in json.dumps(row["log"]).lower()
-                         and (not node or row["log"]["node"] == node or row["log"]["node"].startswith(node + "/"))], "truncated": False}
 
     def series(self, wanted: dict) -> list[dict]:
         for line in self.answers:
