@@ -82,6 +82,7 @@ mod quality;
 pub mod reader;
 mod rebuild;
 mod recompletion;
+pub mod sensor;
 pub mod solution;
 mod store;
 pub mod stored_header;

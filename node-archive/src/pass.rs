@@ -21,10 +21,11 @@ use crate::completion::{Completer, read_header};
 use crate::database::{Database, StoredFacts, StoredImage, Write};
 use crate::facts;
 use crate::folder::without_links;
-use crate::header::{Around, Later, completion, needed, unknown_of_sensor};
+use crate::header::{Around, Later, completion, needed};
 use crate::pairing::pairing;
 use crate::plan::Plan;
 use crate::reader::Reader;
+use crate::sensor::unknown_of_sensor;
 use crate::telemetry::Newest;
 use crate::{guided, quality, solution};
 

@@ -25,6 +25,7 @@ use crate::name::{Namer, compressed, other_than};
 use crate::pairing::pairing;
 use crate::reader::Reader;
 use crate::rebuild::OnDisk;
+use crate::sensor::Sensor;
 use crate::stored_header::Header;
 use crate::telemetry::Newest;
 use crate::turns::Turns;
@@ -187,7 +188,7 @@ impl Store {
             own.or_else(|| self.newest.value(devices.get(&kind)?, property))
         };
         let place = &self.node.config.place;
-        let sensor = header::Sensor::of(&self.node.config, &frame.camera);
+        let sensor = Sensor::of(&self.node.config, &frame.camera);
         let cards = header::base(
             &self.node.header,
             &header::HeaderFacts { frame: &frame, place, written, sensor, newest: &newest },

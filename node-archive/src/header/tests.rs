@@ -9,6 +9,7 @@ use contract::device::camera::{Pixel, Purpose};
 use serde_json::Value;
 
 use super::*;
+use crate::sensor::unknown_of_sensor;
 
 fn place() -> config::Place {
     config::Place {
