@@ -56,6 +56,10 @@ test("the archive is searched by text, level and node, for one telescope and for
     await page.getByLabel("Search the log").fill("");
     await page.getByLabel("Node", { exact: true }).selectOption("observatory/main");
     await until(({ text }) => text.includes("observatory/main"), "only lines of the node");
+    const everyLevel = page.waitForResponse((response) => /\/log\?/.test(response.url()) && !/level=info/.test(response.url()));
+    await page.getByRole("button", { name: "All", exact: true }).click();
+    assert.equal((await everyLevel).status(), 200, (await everyLevel).url());
+    await page.getByRole("button", { name: "Info and up" }).click();
     await page.getByLabel("Node", { exact: true }).selectOption("");
   }
 });

@@ -32,7 +32,7 @@ function folded(lines) {
   return out;
 }
 
-/** Those that fit all conditions. The archive looks for them by the same rules; here they are for what comes live, and for an archive that cannot search. */
+/** Those that fit all conditions. The archive looks for them by the same rules; here they are for what comes live, and until the archive's answer to what was typed last has come. */
 const fitting = (lines, { level, text, node }) => lines.filter((line) => LEVELS.indexOf(line.level) <= LEVELS.indexOf(level) && (!node || line.node === node || String(line.node).startsWith(`${node}/`))
   && `${line.message} ${line.node} ${line.telescope ?? ""} ${fieldsOf(line)}`.toLowerCase().includes(text.toLowerCase()));
 
@@ -76,9 +76,6 @@ function Live({ id, filter }) {
   return html`<${Card} name="Live" flush end=${`${shown.length} of the newest ${lines.length} lines`}><${Lines} lines=${shown.slice(0, 300)} telescope=${id} /><//>`;
 }
 
-/** Does the archive search? One that is older knows times alone, and the page looks through what comes. */
-let searches = true;
-
 /** Lines of some telescopes between two times, the newest first: `{ lines, truncated, problems, loading }`. */
 function useLines(ids, from, to, { level, text, node }, again) {
   const state = useSignal({ lines: [], truncated: false, problems: [], loading: true });
@@ -86,17 +83,9 @@ function useLines(ids, from, to, { level, text, node }, again) {
   useEffect(() => {
     const stop = new AbortController();
     const range = { from_utc: stamp(from), to_utc: stamp(to), limit: String(MOST) };
-    const one = async (id) => {
-      const asked = (more) => ask(`/api/v1/telescopes/${id}/log?${new URLSearchParams({ ...range, ...more })}`, { signal: stop.signal });
-      if (!searches) return asked({});
-      try {
-        return await asked({ level, ...(text && { text: text.slice(0, 100) }), ...(node && { node }) });
-      } catch (error) {
-        if (error.status !== 400 || !/no such member/.test(error.message)) throw error;
-        searches = false;
-        return asked({});
-      }
-    };
+    // The archive has no line below `info`.
+    const search = { ...(level !== "debug" && { level }), ...(text && { text: text.slice(0, 100) }), ...(node && { node }) };
+    const one = (id) => ask(`/api/v1/telescopes/${id}/log?${new URLSearchParams({ ...range, ...search })}`, { signal: stop.signal });
     // What is typed is asked for when it pauses.
     const timer = setTimeout(async () => {
       state.value = { ...state.peek(), loading: true };
