@@ -130,16 +130,9 @@ impl HeaderFacts<'_> {
         })
     }
 
-    /// A coordinate of the site in the Earth's frame, m, with the ellipsoid WGS 84.
+    /// A coordinate of the site in the Earth's frame, m.
     fn geocentric(&self, axis: usize) -> Option<CardValue> {
-        const RADIUS_M: f64 = 6_378_137.0;
-        const FLATTENING: f64 = 1.0 / 298.257_223_563;
-        let [latitude, longitude] = [self.place.latitude_deg, self.place.longitude_deg].map(f64::to_radians);
-        let squeezed = (1.0 - FLATTENING).powi(2);
-        let normal_m = RADIUS_M / (latitude.cos().powi(2) + squeezed * latitude.sin().powi(2)).sqrt();
-        let across_m = (normal_m + self.place.elevation_m) * latitude.cos();
-        let along_m = (squeezed * normal_m + self.place.elevation_m) * latitude.sin();
-        let place_m = [across_m * longitude.cos(), across_m * longitude.sin(), along_m];
+        let place_m = self.place.on_earth().ok()?.0.geocentric_m();
         // Sites are known to the centimetre at best.
         place_m.get(axis).map(|m| CardValue::Float((m * 100.0).round() / 100.0))
     }

@@ -7,8 +7,6 @@ use units::Utc;
 use crate::{EarthOrientation, Icrs, Observer, Place, SkyError};
 
 const DAY_S: f64 = 86_400.0;
-const WGS84_RADIUS_KM: f64 = 6378.137;
-const WGS84_FLATTENING: f64 = 1.0 / 298.257_223_563;
 
 /// `BJD-OBS`: barycentric Julian date on the TDB scale, whole days (at midnight, .5) and the fraction in [0, 1).
 ///
@@ -59,12 +57,8 @@ impl Observer {
 
     /// TDB - TT at the site: a yearly wave of 1.7 ms, and 2 us of the site's daily turn.
     fn tdb_minus_tt_s(&self) -> f64 {
-        let latitude = self.place.latitude();
-        let squeeze = (1.0 - WGS84_FLATTENING).powi(2);
-        let curvature_km = WGS84_RADIUS_KM / (latitude.cos().powi(2) + squeeze * latitude.sin().powi(2)).sqrt();
-        let elevation_km = self.place.elevation_m() / 1000.0;
-        let from_axis_km = (curvature_km + elevation_km) * latitude.cos();
-        let from_equator_km = (curvature_km * squeeze + elevation_km) * latitude.sin();
+        let (from_axis_m, from_equator_m) = self.place.from_axis_and_equator_m();
+        let (from_axis_km, from_equator_km) = (from_axis_m / 1000.0, from_equator_m / 1000.0);
         let (tt1, tt2) = self.scales.tt;
         let longitude = self.place.longitude_east().radians();
         ts::dtdb(tt1, tt2, self.scales.ut1.1.rem_euclid(1.0), longitude, from_axis_km, from_equator_km)

@@ -4,6 +4,9 @@ use units::Angle;
 
 use crate::SkyError;
 
+const WGS84_RADIUS_M: f64 = 6_378_137.0;
+const WGS84_FLATTENING: f64 = 1.0 / 298.257_223_563;
+
 /// A site on the WGS84 ellipsoid, within its ranges by construction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
@@ -41,6 +44,20 @@ impl Place {
     /// Height above the ellipsoid, m.
     pub const fn elevation_m(&self) -> f64 {
         self.elevation_m
+    }
+
+    /// Distance from the Earth's axis, and from the plane of its equator (north positive), m.
+    pub fn from_axis_and_equator_m(&self) -> (f64, f64) {
+        let squeeze = (1.0 - WGS84_FLATTENING).powi(2);
+        let curvature_m = WGS84_RADIUS_M / (self.latitude.cos().powi(2) + squeeze * self.latitude.sin().powi(2)).sqrt();
+        let from_axis_m = (curvature_m + self.elevation_m) * self.latitude.cos();
+        (from_axis_m, (curvature_m * squeeze + self.elevation_m) * self.latitude.sin())
+    }
+
+    /// Geocentric place in the Earth's frame (ITRS), m: x towards longitude 0 on the equator, z towards the north pole.
+    pub fn geocentric_m(&self) -> [f64; 3] {
+        let (from_axis_m, from_equator_m) = self.from_axis_and_equator_m();
+        [from_axis_m * self.longitude_east.cos(), from_axis_m * self.longitude_east.sin(), from_equator_m]
     }
 }
 
