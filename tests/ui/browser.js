@@ -1,6 +1,6 @@
 // What every test of the page needs: the program under test, a web node with its page, a recorded bus, and Debian's Chromium.
 import assert from "node:assert/strict";
-import { spawn } from "node:child_process";
+import { execFileSync, spawn } from "node:child_process";
 import { existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import http from "node:http";
 import net from "node:net";
@@ -102,6 +102,20 @@ export async function startWebNode(file, at = 0) {
   const url = () => /page: (http:\/\/[\d.:]+)\//.exec(printed)?.[1];
   await comesUp(node, url, () => `:\n${printed}`);
   return { node, url: process.env.UI_FROM_DISK ? await fromDisk(node, url(), at) : url() };
+}
+
+export const PASSWORD = "four plain words here";
+
+/** A web node that knows one person, `ana` with [`PASSWORD`]: `{ url, file, end }`. */
+export async function startWithUser(right) {
+  const folder = mkdtempSync(join(tmpdir(), "starmesh-user-"));
+  const file = configure(folder);
+  execFileSync(binary, ["user", "add", "ana", "--right", right, "--password-file", "-", "--config", file], { input: `${PASSWORD}\n` });
+  const { node, url } = await startWebNode(file);
+  return { url, file, end: async () => {
+    await end(node, "SIGTERM");
+    rmSync(folder, { recursive: true, force: true });
+  } };
 }
 
 /**

@@ -2,26 +2,19 @@
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
-import { mkdtempSync, rmSync } from "node:fs";
-import { tmpdir } from "node:os";
-import { join } from "node:path";
-import { TEST, binary, configure, end, launch, newPage, problemsOf, startWebNode } from "./browser.js";
+import { PASSWORD, TEST, binary, launch, newPage, problemsOf, startWithUser } from "./browser.js";
 
-const PASSWORD = "four plain words here";
-let node, browser, url, folder, file;
+let site, url, browser;
 
 before(async () => {
-  folder = mkdtempSync(join(tmpdir(), "starmesh-login-"));
-  file = configure(folder);
-  execFileSync(binary, ["user", "add", "ana", "--right", "viewer", "--password-file", "-", "--config", file], { input: `${PASSWORD}\n` });
-  ({ node, url } = await startWebNode(file));
+  site = await startWithUser("viewer");
+  ({ url } = site);
   browser = await launch();
 }, TEST);
 
 after(async () => {
   await browser?.close();
-  await end(node, "SIGTERM");
-  rmSync(folder, { recursive: true, force: true });
+  await site?.end();
 }, TEST);
 
 test("a person logs in, sees the page, and logs out", TEST, async () => {
@@ -56,7 +49,7 @@ test("a page whose user is removed becomes the login page", TEST, async () => {
   await page.locator("#password").fill(PASSWORD);
   await page.locator("#login button").click();
   await page.locator('body[data-link="live"]').waitFor();
-  execFileSync(binary, ["user", "remove", "ana", "--config", file]);
+  execFileSync(binary, ["user", "remove", "ana", "--config", site.file]);
   await page.locator("#login").waitFor();
   await page.close();
 });

@@ -1,27 +1,19 @@
 // Settings, users and the audit: who is signed in, sessions, tokens, and who moved what.
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
-import { execFileSync } from "node:child_process";
-import { mkdtempSync, rmSync } from "node:fs";
-import { tmpdir } from "node:os";
-import { join } from "node:path";
-import { TEST, binary, configure, end, launch, newPage, problemsOf, settled, startRecorded, startWebNode } from "./browser.js";
+import { PASSWORD, TEST, launch, newPage, problemsOf, settled, startRecorded, startWithUser } from "./browser.js";
 
-const PASSWORD = "four plain words here";
-let node, browser, url, folder;
+let site, url, browser;
 
 before(async () => {
-  folder = mkdtempSync(join(tmpdir(), "starmesh-people-"));
-  const file = configure(folder);
-  execFileSync(binary, ["user", "add", "ana", "--right", "observer", "--password-file", "-", "--config", file], { input: `${PASSWORD}\n` });
-  ({ node, url } = await startWebNode(file));
+  site = await startWithUser("observer");
+  ({ url } = site);
   browser = await launch();
 }, TEST);
 
 after(async () => {
   await browser?.close();
-  await end(node, "SIGTERM");
-  rmSync(folder, { recursive: true, force: true });
+  await site?.end();
 }, TEST);
 
 const bearer = async (token) => (await fetch(`${url}/api/v1/me`, { headers: { Authorization: `Bearer ${token}` } })).status;
