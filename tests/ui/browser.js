@@ -4,6 +4,7 @@ import { execFileSync, spawn } from "node:child_process";
 import { existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import http from "node:http";
 import net from "node:net";
+import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { chromium } from "playwright-core";
@@ -19,7 +20,7 @@ export const TEST = { timeout: 10 * LIMIT };
 
 export const launch = () =>
   chromium.launch({
-    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+    executablePath: process.env.CHROMIUM ?? execFileSync("sh", ["-c", "command -v chromium"], { encoding: "utf8" }).trim(),
     args: ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
       "--disable-component-update", "--disable-sync"],
   });
@@ -47,8 +48,8 @@ async function fromDisk(node, url, at) {
         return void answer.pipe(response);
       }
       answer.resume();
-      const { "content-security-policy": policy } = answer.headers;
-      response.writeHead(isLogin ? 401 : 200, { "content-type": types[file.split(".").pop()] ?? "text/plain", "content-security-policy": policy, "cache-control": "no-cache", "service-worker-allowed": "/" });
+      const { "content-security-policy": policy, "referrer-policy": referrer } = answer.headers;
+      response.writeHead(isLogin ? 401 : 200, { "content-type": types[file.split(".").pop()] ?? "text/plain", "content-security-policy": policy, "referrer-policy": referrer, "cache-control": "no-cache", "service-worker-allowed": "/" });
       response.end(readFileSync(file));
     });
     forward.on("error", () => request.socket.destroy());
@@ -85,12 +86,12 @@ export function problemsOf(page) {
 }
 
 /** Writes the configuration of a telescope that has a web node alone, whose page gets a port from the kernel; returns the file. */
-export function configure(folder, { telescope = "paranal/io", connect = [], clock = "", port = 0 } = {}) {
+export function configure(folder, { telescope = "paranal/io", connect = [], clock = "", port = 0, web = "" } = {}) {
   const [site, name] = telescope.split("/");
   const file = join(folder, "observatory.toml");
   writeFileSync(file, `[observatory]\nsite = "${site}"\ntelescope = "${name}"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n` +
     `elevation_m = 2500\n[bus]\nmulticast = false\nconnect = ${JSON.stringify(connect)}\n${clock && `[clock]\nsimulator = "${clock}"\n`}` +
-    `[web]\nlisten = "127.0.0.1:${port}"\n`);
+    `[web]\nlisten = "127.0.0.1:${port}"\n${web}`);
   return file;
 }
 
@@ -119,10 +120,10 @@ export async function startWithUser(right) {
 }
 
 /**
- * A web node on a recorded bus: `{ url, put, events, raw, orders, reset, end }`. The night of the telescope `demo/alpha` is played again
- * and again, so that everything stays fresh, and the archive's answers are recorded too.
+ * A web node on a recorded bus: `{ url, put, now, events, raw, orders, reset, end }`. The night of the telescope `demo/alpha` is played again
+ * and again, so that everything stays fresh, and the archive's answers are recorded too. `web` is more of `[web]` in its configuration.
  */
-export async function startRecorded() {
+export async function startRecorded({ web = "" } = {}) {
   const folder = mkdtempSync(join(tmpdir(), "starmesh-recorded-"));
   const recorded = join(import.meta.dirname, "recorded");
   const player = spawn(python, ["-B", join(recorded, "player.py"), join(recorded, "bus.jsonl")], { stdio: ["pipe", "pipe", process.env.KEEP_UI ? "inherit" : "ignore"] });
@@ -134,7 +135,7 @@ export async function startRecorded() {
   });
   const { bus, http } = JSON.parse(line);
   const post = (path) => async (body) => assert.ok((await fetch(`${http}${path}`, { method: "POST", body: JSON.stringify(body ?? null) })).ok, path);
-  const options = { telescope: "demo/alpha", connect: [bus], clock: http };
+  const options = { telescope: "demo/alpha", connect: [bus], clock: http, web };
   let { node, url } = await startWebNode(configure(folder, options));
   /** Ends the web node, and starts it again at its address. */
   const stop = () => end(node, "SIGTERM");
@@ -145,7 +146,7 @@ export async function startRecorded() {
     await end(player, "SIGTERM");
     rmSync(folder, { recursive: true, force: true });
   };
-  return { url, stop, again, put: post("/put"), raw: post("/raw"), events: post("/events"), reset: post("/reset"), orders: () => fetch(`${http}/orders`).then((r) => r.json()),
+  return { url, stop, again, put: post("/put"), raw: post("/raw"), now: post("/now"), events: post("/events"), reset: post("/reset"), orders: () => fetch(`${http}/orders`).then((r) => r.json()),
     states: () => fetch(`${http}/states`).then((r) => r.json()), end: end_ };
 }
 
@@ -183,4 +184,42 @@ export async function settled(page) {
     const main = document.querySelector("main");
     return main?.textContent && !/Reading |reading …|Connecting …/.test(main.textContent);
   });
+}
+
+const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+export const THEMES = ["dark", "light", "night"];
+
+/** Presses the theme's button. */
+export const chooseTheme = (page, theme) => page.evaluate((name) => document.querySelector(`[data-set-theme="${name}"]`).click(), theme);
+
+/** Serious findings of axe-core, one line each; `only` are the rules, all where it is absent. */
+export async function findings(page, only) {
+  if (!(await page.evaluate(() => "axe" in window))) await page.evaluate(axe);
+  return page.evaluate(async (rules) => {
+    const { violations } = await window.axe.run(document, { resultTypes: ["violations"], ...(rules && { runOnly: { type: "rule", values: rules } }) });
+    return violations.filter(({ impact }) => ["serious", "critical"].includes(impact)).flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.html.slice(0, 160)} ${node.any[0]?.message ?? ""}`));
+  }, only);
+}
+
+/** Parts that are wider than a phone although nothing around them scrolls. */
+export const tooWide = (page) => page.evaluate(() => {
+  const { scrollWidth, clientWidth } = document.documentElement;
+  if (scrollWidth <= clientWidth) return null;
+  const wide = [...document.querySelectorAll("main *")].filter((one) => one.getBoundingClientRect().right > clientWidth + 1 && !one.closest(".tw, .sites, .tabs, .scroll, .log"));
+  return `${scrollWidth} px of ${clientWidth}: ${wide.slice(0, 5).map((one) => `${one.tagName}.${one.getAttribute("class")}`).join(" ")}`;
+});
+
+/** The page as it is now, in three themes at two widths: what axe-core finds serious, and what is too wide. */
+export async function looks(page, where) {
+  const found = [];
+  for (const [width, height] of [[1280, 900], [390, 844]]) {
+    await page.setViewportSize({ width, height });
+    for (const theme of THEMES) {
+      await chooseTheme(page, theme);
+      found.push(...(await findings(page, theme === "dark" ? null : ["color-contrast"])).map((one) => `${where} ${width} ${theme}: ${one}`));
+      const wide = await tooWide(page);
+      if (wide) found.push(`${where} ${width} ${theme}: sideways scroll, ${wide}`);
+    }
+  }
+  return found;
 }

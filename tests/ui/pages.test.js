@@ -2,14 +2,9 @@
 // else, fits a phone, and can be used by those who do not see well.
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
-import { createRequire } from "node:module";
 import { network } from "./recorded/network.js";
-import { TEST, everyAddress, launch, newPage, problemsOf, settled, startRecorded } from "./browser.js";
+import { TEST, chooseTheme, everyAddress, launch, looks, newPage, problemsOf, settled, startRecorded } from "./browser.js";
 
-const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
-const THEMES = ["dark", "light", "night"];
-const WIDTHS = [[1280, 900], [390, 844]];
 let bus, browser, page, problems;
 
 before(async () => {
@@ -28,24 +23,7 @@ after(async () => {
   await bus?.end();
 }, TEST);
 
-const choose = (theme) => page.evaluate((name) => document.querySelector(`[data-set-theme="${name}"]`).click(), theme);
-
-/** Serious findings of axe-core, one line each. */
-async function findings(only) {
-  if (!(await page.evaluate(() => "axe" in window))) await page.evaluate(axe);
-  return page.evaluate(async (rules) => {
-    const { violations } = await window.axe.run(document, { resultTypes: ["violations"], ...(rules && { runOnly: { type: "rule", values: rules } }) });
-    return violations.filter(({ impact }) => ["serious", "critical"].includes(impact)).flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.html.slice(0, 160)} ${node.any[0]?.message ?? ""}`));
-  }, only);
-}
-
-/** Parts that are wider than a phone although nothing around them scrolls. */
-const tooWide = () => page.evaluate(() => {
-  const { scrollWidth, clientWidth } = document.documentElement;
-  if (scrollWidth <= clientWidth) return null;
-  const wide = [...document.querySelectorAll("main *")].filter((one) => one.getBoundingClientRect().right > clientWidth + 1 && !one.closest(".tw, .sites, .tabs, .scroll, .log"));
-  return `${scrollWidth} px of ${clientWidth}: ${wide.slice(0, 5).map((one) => `${one.tagName}.${one.getAttribute("class")}`).join(" ")}`;
-});
+const choose = (theme) => chooseTheme(page, theme);
 
 test("every page opens in three themes at two widths, fits, and has no serious finding of axe-core", TEST, async (context) => {
   const found = [];
@@ -56,16 +34,7 @@ test("every page opens in three themes at two widths, fits, and has no serious f
       await settled(page);
       assert.equal(await page.locator("[data-broken]").count(), 0, "a part cannot be drawn");
       assert.equal(await page.locator("main h1").count(), 1, "one title");
-      for (const [width, height] of WIDTHS) {
-        await page.setViewportSize({ width, height });
-        for (const theme of THEMES) {
-          await choose(theme);
-          const where = `${address} ${width} ${theme}`;
-          found.push(...(await findings(theme === "dark" ? null : ["color-contrast"])).map((one) => `${where}: ${one}`));
-          const wide = await tooWide();
-          if (wide) found.push(`${where}: sideways scroll, ${wide}`);
-        }
-      }
+      found.push(...(await looks(page, address)));
     });
   }
   assert.deepEqual(found, []);

@@ -5,7 +5,7 @@ import { pages } from "./pages.js";
 import { workOffline } from "./picture.js";
 import { follow, route } from "./route.js";
 import { Shell } from "./shell.js";
-import { link, net, start } from "./store.js";
+import { net, start, told } from "./store.js";
 import { askUser } from "./user.js";
 
 /** Pages that have come, by their entries in the table, and why one has not. */
@@ -38,7 +38,7 @@ function App() {
   let inside;
   if (!known) inside = html`<${Empty} icon="warn" title="There is no such page">${location.pathname} <a href="/">All telescopes</a><//>`;
   else if (id && !net.value.has(id)) {
-    inside = link.value === "live" || net.value.size ? html`<${Empty} icon="domeq" title=${`Nothing of ${id} was received from the bus`}>A telescope appears here by itself. <a href="/">All telescopes</a><//>` : html`<p class="m">Connecting …</p>`;
+    inside = told.value || net.value.size ? html`<${Empty} icon="domeq" title=${`Nothing of ${id} was received from the bus`}>A telescope appears here by itself. <a href="/">All telescopes</a><//>` : html`<p class="m">Connecting …</p>`;
   } else inside = html`<${Shown} entry=${known} id=${id} summary=${id ? net.value.get(id) : undefined} key=${location.pathname} />`;
   return html`<${Shell} title=${title}>${inside}<//>`;
 }

@@ -1,6 +1,7 @@
 // Charts over time: panels one below the other with one cursor (uPlot). The far side of a limit is hatched, and no line crosses a gap.
 import { html, signal, useEffect, useRef, useSignal } from "./lib.js";
-import { clock, hourMinute, number } from "./format.js";
+import { clock, hourMinute, labels, number } from "./format.js";
+import { useNumbers } from "./numbers.js";
 import { TimeTools, useTimeView } from "./timeview.js";
 
 /** @type {any} uPlot, once it has come: a page is there before its charts. */
@@ -47,6 +48,15 @@ export function columns(series) {
     for (const [t, value] of one.points) column[at.get(t)] = Number.isFinite(value) ? value : null;
     return column;
   })];
+}
+
+/** What panels show between two times, as heads and rows of a table; the newest first. */
+function tableOf(panels, t0, t1) {
+  const all = panels.flatMap((panel) => panel.series.map((one) => ({ ...one, panel })));
+  const [times, ...values] = columns(all);
+  const heads = all.map(({ panel, head, name }) => ({ name: head ?? [panel.name, name].filter(Boolean).join(" "), unit: panel.unit, digits: panel.digits ?? 1 }));
+  const rows = times.map((t, i) => [Math.round(t * 1000), ...values.map((column) => column[i])]).filter(([t, ...row]) => t >= t0 && t <= t1 && row.some(Number.isFinite));
+  return { heads: [{ name: "Time", unit: "UTC", isTime: true }, ...heads], rows: rows.reverse() };
 }
 
 /** Points and gaps of the API's `Series` as `[ms, value]`, with `null` in each gap. `pick` is `min`, `mean` or `max`. */
@@ -142,7 +152,7 @@ function options(panel, shared, width, last, onAt) {
     cursor: { sync: { key: shared.key, setSeries: false }, y: false, drag: { x: false, y: false, setScale: false }, points: { size: 7 } },
     scales: { x: { time: true, range: () => shared.view().map((t) => t / 1000) }, y: { range: panel.range ?? range(panel) } },
     axes: [{ ...axis, show: true, size: last ? 26 : 0, values: (_, ticks) => ticks.map((t) => (last ? hourMinute(t * 1000) : "")) },
-      { ...axis, size: LEFT, values: (_, ticks) => ticks.map((v) => number(v, Math.abs(v) < 10 && v % 1 ? (Math.abs(v) < 1 && (v * 10) % 1 ? 2 : 1) : 0)) }],
+      { ...axis, size: LEFT, space: 22, values: (_, ticks) => labels(ticks) }],
     tzDate: (t) => new Date(new Date(t * 1000).toLocaleString("en-US", { timeZone: "UTC" })),
     series: [{}, ...panel.series.map(seriesOf)],
     bands: panel.bands,
@@ -163,8 +173,9 @@ function nearest(points, t) {
 let charts = 0;
 
 /**
- * Panels over one time axis. `panels`: `{ name, unit, digits, height, zero, series: [{ name, points, colour, kind, dash }], limits: [{ v, side, text }] }`; `unsafe`: times in
+ * Panels over one time axis. `panels`: `{ name, unit, digits, height, zero, series: [{ name, head, points, colour, kind, dash }], limits: [{ v, side, text }] }`; `unsafe`: times in
  * which the dome had to be closed; `marks`: `{ t, text }`; `now`; `onAt(ms)` follows the cursor, also by the arrow keys. `plain`: small, without tools below it.
+ * `head`: what a series is called in the table, where its panel and its name do not say it well.
  */
 export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, label, plain = false }) {
   const place = useRef(null);
@@ -238,12 +249,14 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, label, plain =
     if (at.peek() === null && /^Arrow(Left|Right)$/.test(event.key) && !event.shiftKey) at.value = Math.min(now ?? view.t1, view.t1);
     view.press(event);
   };
-  return html`<div class=${`chart live-chart look ${plain ? "plain" : ""}`} data-testid="chart" data-from=${Math.round(view.t0)} data-to=${Math.round(view.t1)} tabindex="0" role="group" aria-label=${label ?? `Chart of ${panels.map((panel) => panel.name).join(", ")} over time; arrow keys move the cursor, plus and minus zoom, 0 shows all`} onKeyDown=${press}><div class="touch" ref=${place}>
+  const told = label ?? panels.map((panel) => panel.name).join(", ");
+  const numbers = useNumbers(told, `${shape} ${view.t0} ${view.t1}`, () => tableOf(panels, view.t0, view.t1));
+  return html`<div class=${`chart live-chart look ${plain ? "plain" : ""}`} data-testid="chart" data-from=${Math.round(view.t0)} data-to=${Math.round(view.t1)} tabindex="0" role="group" aria-label=${label ?? `Chart of ${told} over time; arrow keys move the cursor, plus and minus zoom, 0 shows all`} onKeyDown=${press}><div class="touch" ref=${place}>
     ${panels.map((panel) => html`<div class="panel" key=${panel.name}><div class="row between read"><span class="m">${panel.name}</span><span>${panel.series.filter((one) => !one.quiet).map((one) => {
       const found = nearest(one.points, at.value ?? now ?? t1);
       return html`<span class="nw" key=${one.name}>${one.name && html`<span class="m">${one.name}</span> `}<b>${found ? number(found[1], panel.digits ?? 1) : "—"}</b> </span>`;
     })}<span class="m">${panel.unit ?? ""}${at.value ? ` at ${clock(at.value)}` : ""}</span></span></div><div class="plot"></div></div>`)}</div>
     ${missing.value && html`<p class="m">The server did not send what draws charts; load the page again.</p>`}
     ${marks?.length > 0 && !plain && html`<p class="tagline">${marks.map((mark) => `${clock(mark.t)} ${mark.text}`).join(" · ")}</p>`}
-    ${!plain && html`<${TimeTools} view=${view} at=${at.value} pick=${pick.value} />`}</div>`;
+    ${!plain && html`<${TimeTools} view=${view} at=${at.value} pick=${pick.value} end=${numbers.toggle} />`}</div>${!plain && numbers.table}`;
 }

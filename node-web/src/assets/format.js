@@ -26,9 +26,16 @@ export function day(utc) {
   return new Date(utc).toLocaleDateString("en-GB", { weekday: "short", day: "numeric", month: "short", timeZone: "UTC" });
 }
 
-/** A number with so many decimals and a true minus sign. */
+/** A number with so many decimals and a true minus sign; what is rounded to nothing has none. */
 export function number(value, decimals = 1) {
-  return value.toFixed(decimals).replace(/^-/, MINUS);
+  return value.toFixed(decimals).replace(/^-(?=[0.]*$)/, "").replace(/^-/, MINUS);
+}
+
+/** Values of an axis with as many decimals as tell them apart. */
+export function labels(ticks) {
+  const step = Math.abs(ticks[1] - ticks[0]) || 1;
+  const digits = [0, 1, 2, 3].find((n) => ticks.every((v) => Math.abs(v - Number(v.toFixed(n))) < step / 1000)) ?? 4;
+  return ticks.map((v) => number(v, digits));
 }
 
 /** Right ascension in degrees as `23 06 29.3`. */

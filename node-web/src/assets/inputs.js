@@ -8,7 +8,7 @@ import { number, plain } from "./format.js";
 export const PARAMETERS = [
   ["WindSpeed", "wind_mps", "Wind", "m/s", [0, 25], 1], ["WindGust", "gust_mps", "Gusts", "m/s", [0, 30], 1], ["Humidity", "humidity_percent", "Humidity", "%", [0, 100], 0],
   ["SkyTemperature", "sky_c", "Sky temperature", "°C", [-60, 20], 1], ["Temperature", "air_c", "Air", "°C", [-20, 40], 1], ["DewPoint", "dew_point_c", "Dew point", "°C", [-40, 30], 1],
-  ["RainRate", "rain_mm_per_h", "Rain", "mm/h", [0, 10], 1], ["CloudCover", "cloud_percent", "Cloud", "%", [0, 100], 0], ["Pressure", "pressure_hpa", "Pressure", "hPa", [500, 1050], 0],
+  ["RainRate", "rain_mm_per_h", "Rain", "mm/h", [0, 10], 1], ["CloudCover", "cloud_percent", "Cloud", "%", [0, 100], 0], ["Pressure", "pressure_hpa", "Pressure", "hPa", [500, 1050], 1],
   ["SkyQuality", "sky_mag_per_arcsec2", "Sky quality", "mag/arcsec²", [0, 22], 2], ["SkyBrightness", "sky_lux", "Sky brightness", "lx", [0, 100], 3], ["StarFWHM", "star_fwhm_arcsec", "Star FWHM", "″", [0, 5], 2],
 ];
 

@@ -1,5 +1,5 @@
 // Pieces that many pages show: icons, words, ages, values, cards. Their looks are those of starmesh.css.
-import { Component, html, useEffect, useRef, useSignal } from "./lib.js";
+import { Component, computed, html, useEffect, useRef, useSignal } from "./lib.js";
 import { clock, duration } from "./format.js";
 import { link, quality, tick } from "./store.js";
 
@@ -20,10 +20,12 @@ export function Counts({ counts, cls = "" }) {
   return shown.map(([word, n, count]) => html`<span key=${n} class=${`ink-p${n} ${cls}`} data-testid=${`count-${word}`}><${Shape} n=${n} />${count}<span class="vh"> ${word}</span></span>`);
 }
 
-/** How a summary stands now: its quality and age are judged here too, because messages stop coming when the link is lost. */
-export function standing(summary) {
-  tick.value; // eslint-disable-line no-unused-expressions -- an age is drawn each second
-  const age = summary.age_s === null || summary.age_s === undefined ? null : summary.age_s + (performance.now() - summary.received) / 1000;
+/** Age of a summary, s; null before its first message. */
+export const summaryAge = (summary) => (summary.age_s === null || summary.age_s === undefined ? null : summary.age_s + (performance.now() - summary.received) / 1000);
+
+/** How a summary stands now: its quality is judged here too, because messages stop coming when the link is lost. */
+function judge(summary) {
+  const age = summaryAge(summary);
   const worth = quality(age, 1);
   const fresh = age !== null && worth === "fresh";
   // Its nodes were stopped in good order: that they are silent concerns nobody, unless something is open.
@@ -32,17 +34,32 @@ export function standing(summary) {
   const isOfDomes = !fresh && link.value === "live" && summary.posture_by === "domes";
   const concern = stopped ? null : fresh || isOfDomes ? summary.concern : link.value === "live" && age !== null && worth === "lost" ? summary.concern ?? "critical" : null;
   return {
-    age,
     worth: age === null ? "lost" : worth,
     never: age === null,
     fresh,
     stopped,
     concern: concern ? priorityNumber(concern) : null,
-    domes: fresh || link.value !== "live" ? [] : summary.domes ?? [],
+    domes: fresh || link.value !== "live" ? NONE : summary.domes ?? NONE,
     safety: fresh ? summary.safety?.state ?? "unknown" : "unknown",
     posture: fresh || isOfDomes ? summary.posture : stopped?.closed ? "closed" : "unknown",
     mode: fresh ? summary.mode : "unknown",
   };
+}
+const NONE = [];
+const standings = new WeakMap();
+
+/** As a summary stands: judged each second, and what shows it is drawn anew only when the judgement changes. */
+export function standing(summary) {
+  if (!standings.has(summary)) {
+    let before = null;
+    standings.set(summary, computed(() => {
+      tick.value; // eslint-disable-line no-unused-expressions
+      const now = judge(summary);
+      if (!before || Object.keys(now).some((name) => now[name] !== before[name])) before = now;
+      return before;
+    }));
+  }
+  return standings.get(summary).value;
 }
 
 /** Is nobody being called for it: its cause went away, somebody has acknowledged it, or it is shelved? */
@@ -97,9 +114,10 @@ export function Words({ now, lg }) {
 
 export const Mode = ({ now, summary }) => html`${now.mode !== "unknown" && html`<span class="mode">${String(now.mode).toUpperCase()}</span>`}${summary.simulated && html`<span class="mode sim">SIMULATION</span>`}`;
 
-/** An age that ticks, with the word for what it is worth. */
+/** An age that ticks, with the word for what it is worth: seconds, or what gives them where it is drawn without its surroundings. */
 export function Age({ s, worth, never = "not received yet", after = "" }) {
   tick.value; // eslint-disable-line no-unused-expressions
+  if (typeof s === "function") s = s();
   if (s === null || s === undefined) return html`<span class="age" data-quality="lost">${never}</span>`;
   if (worth === "fresh" && link.value !== "live") worth = "stale";
   const words = { fresh: "", ageing: "", stale: "stale ", lost: "lost " }[worth] ?? "";
@@ -142,17 +160,13 @@ export function Loaded({ of, what, children }) {
 
 const AGAIN_MS = 2500;
 
-/** A part that cannot be drawn says so in its place, and tries again with what comes next; the others are not concerned. */
+/** A part that cannot be drawn says so in its place, and tries again by itself; the others are not concerned. */
 export class Guard extends Component {
   constructor(props) {
     super(props);
     this.state = { error: null };
-    this.failed = 0;
+    this.again = 0;
     this.told = "";
-  }
-
-  componentWillReceiveProps() {
-    if (this.state.error && performance.now() - this.failed > AGAIN_MS) this.setState({ error: null });
   }
 
   static getDerivedStateFromError(error) {
@@ -160,20 +174,25 @@ export class Guard extends Component {
   }
 
   componentDidCatch(error) {
-    this.failed = performance.now();
+    clearTimeout(this.again);
+    this.again = setTimeout(() => this.setState({ error: null }), AGAIN_MS);
     if (this.told !== String(error)) console.warn(`${this.props.name} cannot be drawn`, error);
     this.told = String(error);
+  }
+
+  componentWillUnmount() {
+    clearTimeout(this.again);
   }
 
   render({ name, children }, { error }) {
     if (!error) return children;
     return html`<div class="empty hatch" data-broken=${name}><${Icon} name="warn" /><b>${name}: this part cannot be shown</b>
-      <span>${String(error?.message ?? error).slice(0, 200)}. It is tried again with what comes next.</span></div>`;
+      <span>${String(error?.message ?? error).slice(0, 200)}. It is tried again by itself.</span></div>`;
   }
 }
 
 /** A dialog that is open while it is shown; Escape and the area around it close it. */
-export function Dialog({ label, close, children }) {
+export function Dialog({ label, close, children, cls = "" }) {
   const element = useRef(null);
   useEffect(() => {
     const dialog = element.current;
@@ -185,7 +204,7 @@ export function Dialog({ label, close, children }) {
       before?.focus?.();
     };
   }, []);
-  return html`<dialog ref=${element} aria-label=${label} onCancel=${(event) => { event.preventDefault(); close(); }}
+  return html`<dialog ref=${element} class=${cls} aria-label=${label} onCancel=${(event) => { event.preventDefault(); close(); }}
     onClick=${(event) => event.target === element.current && close()}><div class="stack">${children}</div></dialog>`;
 }
 
@@ -194,7 +213,7 @@ export const Segment = ({ label, options, value, onChange, cls = "" }) => html`<
   html`<button key=${option} type="button" aria-pressed=${String(option === value)} onClick=${() => onChange(option)}>${word}</button>`)}</span>`;
 
 /** A table that may scroll sideways. `columns`: `{ key, name, num, sort(row), cls }`; `cells(row)` gives the `<td>`s. */
-export function Table({ label, columns, rows, cells, keyOf, rowProps = (_) => ({}), cls = "", sorted = null }) {
+export function Table({ label, columns, rows, cells, keyOf, rowProps = noProps, cls = "", sorted = null }) {
   const order = useSignal(sorted ?? { key: null, up: true });
   const by = columns.find((column) => column.key === order.value.key);
   const shown = by?.sort ? [...rows].sort((a, b) => compare(by.sort(a), by.sort(b)) * (order.value.up ? 1 : -1)) : rows;
@@ -202,8 +221,12 @@ export function Table({ label, columns, rows, cells, keyOf, rowProps = (_) => ({
   return html`<div class="tw" tabindex="0" role="group" aria-label=${`${label}, may scroll sideways`}><table class=${cls}>
     <thead><tr>${columns.map((column) => html`<th key=${column.key} scope="col" class=${`${column.num ? "num" : ""} ${column.cls ?? ""}`} data-sort=${column.sort ? "" : null}
       aria-sort=${by === column ? (order.value.up ? "ascending" : "descending") : null}>${column.sort ? html`<button type="button" onClick=${press(column.key)}>${column.name}</button>` : column.name}</th>`)}</tr></thead>
-    <tbody>${shown.map((row) => html`<tr key=${keyOf(row)} ...${rowProps(row)}>${cells(row)}</tr>`)}</tbody></table></div>`;
+    <tbody>${shown.map((row) => html`<${Row} key=${keyOf(row)} row=${row} rowProps=${rowProps} cells=${cells} />`)}</tbody></table></div>`;
 }
+
+/** With `cells` that stay the same function it is drawn anew only for its own changes. */
+const Row = ({ row, rowProps, cells }) => html`<tr ...${rowProps(row)}>${cells(row)}</tr>`;
+const noProps = (_) => ({});
 
 function compare(a, b) {
   if (a === b) return 0;

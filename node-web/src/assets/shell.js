@@ -3,7 +3,7 @@ import { html, useEffect, useRef } from "./lib.js";
 import { CloseButton, Closing } from "./close.js";
 import { clock, day, duration } from "./format.js";
 import { choose, theme } from "./look.js";
-import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Words, isCalm, postureIcon, standing, totals, urgency } from "./parts.js";
+import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Words, isCalm, postureIcon, standing, summaryAge, totals, urgency } from "./parts.js";
 import { route } from "./route.js";
 import { fault, link, lostAt, net, roundTrip, skyNow, skySpeed, tick, version } from "./store.js";
 import { leave, me } from "./user.js";
@@ -101,7 +101,7 @@ function worst() {
 
 /** Why a telescope whose two words are alarming is so, in one sentence. */
 export function alarm(summary, now) {
-  if (!now.fresh) return [summary.now || `Nothing has come from its observatory node for ${duration(now.age)}`, ...now.domes].join(". ");
+  if (!now.fresh) return [summary.now || `Nothing has come from its observatory node for ${duration(summaryAge(summary))}`, ...now.domes].join(". ");
   if (now.posture === "unknown") return "Whether its dome is closed is not known.";
   return `${now.safety.toUpperCase()} and ${String(now.posture).toUpperCase()}.`;
 }
@@ -129,7 +129,7 @@ export function TelescopeHead({ summary }) {
     if (current) tabs.current.scrollLeft = current.offsetLeft - tabs.current.offsetLeft - 40;
   }, [page]);
   return html`<header class="scope"><div class="scope-h"><h1 tabindex="-1">${summary.telescope_id}</h1>${!summary.shared && html`<${Words} now=${now} lg /><${Mode} now=${now} summary=${summary} />`}<span class="grow"></span>
-      <${Age} s=${now.age} worth=${now.worth} after=" ago" />${!summary.shared && html`<${CloseButton} id=${id} named cls="desk" />`}</div>
+      <${Age} s=${() => summaryAge(summary)} worth=${now.worth} after=" ago" />${!summary.shared && html`<${CloseButton} id=${id} named cls="desk" />`}</div>
     <nav class="tabs" ref=${tabs} aria-label=${summary.telescope_id}>${TELESCOPE_PAGES.map(([name, word]) => html`<a key=${name} href=${name === "now" ? `/t/${id}` : `/t/${id}/${name}`} aria-current=${page === name ? "page" : null}>${word}</a>`)}</nav></header>`;
 }
 

@@ -1,5 +1,5 @@
 // The live socket, and what it has sent: a mirror of what the web node receives. Times are this browser's monotonic milliseconds.
-import { signal, useEffect } from "./lib.js";
+import { computed, signal, useEffect } from "./lib.js";
 import { keepPicture, lastPicture } from "./picture.js";
 import { forgetUser } from "./user.js";
 
@@ -15,6 +15,8 @@ export const version = signal("");
 export const roundTrip = signal(null);
 /** Each summary of a telescope by `site/telescope`, with `received`. */
 export const net = signal(new Map());
+/** Has the server told which telescopes there are? Before, that one is missing says nothing. */
+export const told = signal(false);
 /** Counts up each second, so that what shows an age is drawn again. */
 export const tick = signal(0);
 
@@ -80,6 +82,13 @@ async function restore() {
 export const skyNow = () => sky && sky.utc + (performance.now() - sky.at) * sky.speed;
 /** Sky seconds per second. */
 export const skySpeed = () => sky?.speed ?? 1;
+
+/** Sky time now in steps of ten seconds of the clock, for what needs no seconds; null before the first message. */
+export const moment = computed(() => {
+  tick.value; // eslint-disable-line no-unused-expressions
+  const step = 10e3 * skySpeed();
+  return sky && Math.floor(skyNow() / step) * step;
+});
 
 /** Age of something received, s. */
 export const ageOf = (entry) => (performance.now() - entry.since) / 1000;
@@ -185,7 +194,12 @@ function take(message, now) {
     session = data.session ?? "";
   } else if (op === "pong") roundTrip.value = now - pinged;
   else if (op === "err") console.warn(data?.detail);
-  else if (topic === "net") net.value = items(net.value, op, data, now);
+  else if (topic === "net") {
+    if (op === "snap") told.value = true;
+    if (op === "snap" || data.items || data.gone) net.value = items(net.value, op, data, now);
+    // An age goes on in its summary, and no summary changes by it: who shows an age looks at it each second, and the others are not drawn anew.
+    for (const [id, ages] of Object.entries(data.ages ?? {})) Object.assign(net.value.get(id) ?? {}, ages, { received: now });
+  }
   else if (topics.has(topic)) {
     const entry = topics.get(topic);
     if (message.seq !== undefined) entry.seq = message.seq;
@@ -199,9 +213,6 @@ function items(before, op, data, now) {
   const after = op === "snap" ? new Map() : new Map(before);
   for (const [id, item] of Object.entries(data.items ?? {})) after.set(id, { ...item, received: now });
   for (const id of data.gone ?? []) after.delete(id);
-  for (const [id, ages] of Object.entries(data.ages ?? {})) {
-    if (after.has(id)) after.set(id, { ...after.get(id), ...ages, received: now });
-  }
   return after;
 }
 

@@ -5,6 +5,7 @@ web node follows, the pixels of the recorded frames, and for a test:
 
 - `GET /orders`: the orders that it was asked. `GET /states`: what it publishes, by key.
 - `POST /put` `{KEY: BODY}`: another payload for a state; `null` ends it. `POST /events` `[[KEY, BODY], ...]`: events, once each.
+- `POST /now` `{KEY: BODY}`: one more payload, published at once.
 - `POST /raw` `{KEY: TEXT}`: a payload as it is, valid or not, with each beat. `POST /reset`: the recording again.
 
 States are published twice a second with new numbers, so that they stay fresh at the receiver. Keys are without `starmesh/v1/`.
@@ -250,6 +251,9 @@ def main() -> None:
                     player.raw.update(body)
             elif self.path == "/events":
                 player.note(body)
+            elif self.path == "/now":
+                for key, one in body.items():
+                    player.put(key, json.dumps(player.stamped(key, one)))
             elif self.path == "/reset":
                 player.reset()
                 player.orders.clear()

@@ -3,8 +3,9 @@ import { html, useSignal } from "../lib.js";
 import { command } from "../api.js";
 import { CloseButton, note } from "../close.js";
 import { clock, duration } from "../format.js";
-import { Card, Counts, Dialog, Empty, Priority, PRIORITIES, Segment, isCalm, priorityNumber } from "../parts.js";
+import { Card, Counts, Dialog, Empty, Guard, Priority, PRIORITIES, Segment, isCalm, priorityNumber } from "../parts.js";
 import { link, net, skyNow, tick, useTopic } from "../store.js";
+import { Webcams } from "../webcams.js";
 
 /** Words of an alert's kind: `dome-not-closed/dome` is "Dome not closed". */
 export const kindWords = (id) => { const kind = id.split("/")[0].replaceAll("-", " "); return kind[0].toUpperCase() + kind.slice(1); };
@@ -68,10 +69,13 @@ export function Alerts() {
   const all = [...(items?.values() ?? [])].sort((a, b) => priorityNumber(a.priority) - priorityNumber(b.priority) || (a.raised_utc < b.raised_utc ? 1 : -1));
   const chosen = all.filter((alert) => priorityNumber(alert.priority) <= priorityNumber(least.value));
   const counts = Object.fromEntries(PRIORITIES.map((word) => [word, all.filter((alert) => alert.priority === word && !isCalm(alert)).length]));
+  // A camera does not depend on what failed: it shows whether the dome is open.
+  const called = [...new Set(all.filter((alert) => !isCalm(alert) && priorityNumber(alert.priority) <= 2).map((alert) => String(alert.telescope)))].map((id) => id.split("/")).map(([site, telescope]) => ({ site, telescope }));
   const [active, calm] = [chosen.filter((alert) => !isCalm(alert)), chosen.filter(isCalm)];
   return html`<div class="page-h"><h1 tabindex="-1">Alerts</h1><span class="counts"><${Counts} counts=${counts} /></span><span class="grow"></span>
       <${Segment} label="Least priority" options=${[["advisory", "All"], ["medium", "Medium and up"], ["high", "High and up"]]} value=${least.value} onChange=${(value) => { least.value = value; }} /></div>
     ${!items ? html`<p class="m">${link.value === "live" ? "Reading alerts …" : "Connecting …"}</p>` : html`
-      <section class="card flush" aria-label="Active alerts">${active.length ? active.map((alert) => html`<${Alert} key=${`${alert.telescope} ${alert.id}`} alert=${alert} />`) : html`<${Empty} icon="check" title="Nothing is wrong that a person must see to" />`}</section>
+      <div class="beside"><section class="card flush" aria-label="Active alerts">${active.length ? active.map((alert) => html`<${Alert} key=${`${alert.telescope} ${alert.id}`} alert=${alert} />`) : html`<${Empty} icon="check" title="Nothing is wrong that a person must see to" />`}</section>
+        ${called.length > 0 && html`<${Guard} name="Webcams"><${Webcams} of=${called} /><//>`}</div>
       ${calm.length > 0 && html`<${Card} name="Returned, acknowledged and shelved" flush end="nobody is being called">${calm.map((alert) => html`<${Alert} key=${`${alert.telescope} ${alert.id}`} alert=${alert} />`)}<//>`}`}`;
 }

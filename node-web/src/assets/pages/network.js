@@ -4,9 +4,9 @@ import { activity } from "../activity.js";
 import { CloseButton } from "../close.js";
 import { clock, duration, nightOf, number } from "../format.js";
 import { arrived, Picture } from "../image.js";
-import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segment, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, urgency } from "../parts.js";
+import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segment, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, summaryAge, urgency } from "../parts.js";
 import { bySite, doing } from "../shell.js";
-import { ageOf, link, net, quality, skyNow, skySpeed, tick, useTopic } from "../store.js";
+import { ageOf, link, moment, net, quality, skyNow, skySpeed, tick, told, useTopic } from "../store.js";
 import { devicesOf, known } from "../devices.js";
 import { Nights } from "../night.js";
 import { limitsOf } from "../inputs.js";
@@ -31,11 +31,12 @@ function Lede({ telescopes }) {
     ${[...counts].map(([does, n]) => `${n} ${does}`).join(", ")}${counts.size ? "." : ""}</p>`;
 }
 
-function Tile({ summary }) {
+/** One telescope; `brief` where its view has no room for an image unless it needs somebody. */
+function Tile({ summary, brief }) {
   const now = standing(summary);
   const [what, sub] = activity(summary, now);
   const level = urgency(summary, now);
-  const image = !(/** @type {any} */ (navigator).connection?.saveData) && arrived(summary);
+  const image = !(brief && level > 3) && !(/** @type {any} */ (navigator).connection?.saveData) && arrived(summary);
   const top = summary.alerts?.find((one) => !isCalm(one));
   const figures = summary.figures ?? {};
   const worth = now.fresh ? "fresh" : now.worth;
@@ -48,7 +49,7 @@ function Tile({ summary }) {
     <div class="stats"><${Stat} name="Guide" value=${figures.guide_rms_arcsec != null ? number(figures.guide_rms_arcsec, 2) : null} unit="″" worth=${worth} /><${Stat} name="FWHM" value=${figures.fwhm_arcsec != null ? number(figures.fwhm_arcsec, 2) : null} unit="″" worth=${worth} />
       <${Stat} name="Rows" value=${summary.schedule ? `${summary.schedule.finished}/${summary.schedule.rows}` : null} worth=${worth} /><${Stat} name="Frames" value=${summary.frames} worth=${worth} /></div>
     ${summary.unreadable?.length > 0 && html`<p class="ink-p2" data-unreadable=${summary.unreadable.length}>◆ ${summary.unreadable.length} ${summary.unreadable.length > 1 ? "payloads" : "payload"} cannot be read: ${summary.unreadable[0].key}</p>`}
-    <div class="tile-f"><${Age} s=${now.age} worth=${now.worth} after=" ago" />${summary.device_count?.lost > 0 && html`<span class="ink-p3">${summary.device_count.lost} of ${summary.device_count.known} devices silent</span>`}
+    <div class="tile-f"><${Age} s=${() => summaryAge(summary)} worth=${now.worth} after=" ago" />${summary.device_count?.lost > 0 && html`<span class="ink-p3">${summary.device_count.lost} of ${summary.device_count.known} devices silent</span>`}
       <${CloseButton} id=${summary.id} filled=${level === 1} sm /></div></article>`;
 }
 
@@ -86,7 +87,7 @@ function Site({ site, telescopes }) {
 
 const COLUMNS = [{ key: "name", name: "Telescope", sort: (one) => one.telescope_id }, { key: "site", name: "Site", cls: "hidep", sort: (one) => one.site_id }, { key: "safety", name: "Safety", sort: (one) => rank(one) }, { key: "dome", name: "Dome", sort: (one) => standing(one).posture },
   { key: "does", name: "Does", sort: (one) => doing(one, standing(one)) }, { key: "target", name: "Target", cls: "hidep", sort: (one) => one.activity?.[0]?.object }, { key: "guide", name: "Guide ″", num: true, cls: "hidep", sort: (one) => one.figures?.guide_rms_arcsec }, { key: "fwhm", name: "FWHM ″", num: true, cls: "hidep", sort: (one) => one.figures?.fwhm_arcsec },
-  { key: "frames", name: "Frames", num: true, cls: "hidep", sort: (one) => one.frames }, { key: "rows", name: "Rows", num: true, cls: "hidep", sort: (one) => one.schedule?.finished }, { key: "age", name: "Age", num: true, sort: (one) => standing(one).age }, { key: "alert", name: "Alert", sort: (one) => urgency(one) }];
+  { key: "frames", name: "Frames", num: true, cls: "hidep", sort: (one) => one.frames }, { key: "rows", name: "Rows", num: true, cls: "hidep", sort: (one) => one.schedule?.finished }, { key: "age", name: "Age", num: true, sort: summaryAge }, { key: "alert", name: "Alert", sort: (one) => urgency(one) }];
 
 /** What calls for somebody; else what somebody has seen already. */
 function Called({ summary, level }) {
@@ -95,35 +96,43 @@ function Called({ summary, level }) {
   return calm ? html`<${Priority} word=${calm.priority} off text=${calm.shelved_until_utc ? "shelved" : calm.acknowledged_by ? "acknowledged" : "returned"} />` : null;
 }
 
+const BY_SAFETY = { key: "safety", up: true };
+const rowProps = (one) => ({ "data-quality": standing(one).worth, "data-testid": "row", "data-of": one.id });
+const cells = (one) => {
+  const now = standing(one);
+  const level = urgency(one, now);
+  const figure = (value) => (now.fresh && value != null ? number(value, 2) : "—");
+  const [first] = one.activity ?? [];
+  const [safety, dome] = wordCells(now);
+  return html`<td class="k"><a href=${`/t/${one.id}`}><${Icon} name=${postureIcon(now.posture)} />${one.telescope_id}</a></td><td class="hidep">${one.site_id}</td><td>${safety}</td><td>${dome}</td><td>${now.fresh && !first && now.safety !== "safe" ? `waits for ${doing(one, now)}` : doing(one, now)}</td><td class="hidep cut" title=${first?.object}>${first?.object ? html`<b>${first.object}</b>` : "—"}</td>
+    <td class="num hidep"><b>${figure(one.figures?.guide_rms_arcsec)}</b></td><td class="num hidep"><b>${figure(one.figures?.fwhm_arcsec)}</b></td><td class="num hidep">${one.frames}</td><td class="num hidep">${one.schedule ? `${one.schedule.finished}/${one.schedule.rows}` : "—"}</td><td class="num"><${Age} s=${() => summaryAge(one)} worth=${now.worth} never="never" /></td><td><${Called} summary=${one} level=${level} /></td>`;
+};
+
 /** A telescope a line, for tens of them: sorted and filtered, worst first. */
 function All({ telescopes }) {
   const text = useSignal("");
   const shown = telescopes.filter((one) => `${one.id} ${activity(one, standing(one)).join(" ")}`.toLowerCase().includes(text.value.toLowerCase()));
   return html`<${Card} name="All telescopes" flush end=${html`${text.value && html`<span class="m">${shown.length} of ${telescopes.length}</span>`}<label class="in"><${Icon} name="search" /><input type="search" placeholder="Filter" aria-label="Filter telescopes" onInput=${(event) => { text.value = event.target.value; }} /><kbd>/</kbd></label>`}>
-    <${Table} label="All telescopes" columns=${COLUMNS} rows=${shown} sorted=${{ key: "safety", up: true }} keyOf=${(one) => one.id} rowProps=${(one) => ({ "data-quality": standing(one).worth, "data-testid": "row", "data-of": one.id })} cells=${(one) => {
-      const now = standing(one);
-      const level = urgency(one, now);
-      const figure = (value) => (now.fresh && value != null ? number(value, 2) : "—");
-      const [first] = one.activity ?? [];
-      const cells = wordCells(now);
-      return html`<td class="k"><a href=${`/t/${one.id}`}><${Icon} name=${postureIcon(now.posture)} />${one.telescope_id}</a></td><td class="hidep">${one.site_id}</td><td>${cells[0]}</td><td>${cells[1]}</td><td>${now.fresh && !first && now.safety !== "safe" ? `waits for ${doing(one, now)}` : doing(one, now)}</td><td class="hidep">${first?.object ? html`<b>${first.object}</b>` : "—"}</td>
-        <td class="num hidep"><b>${figure(one.figures?.guide_rms_arcsec)}</b></td><td class="num hidep"><b>${figure(one.figures?.fwhm_arcsec)}</b></td><td class="num hidep">${one.frames}</td><td class="num hidep">${one.schedule ? `${one.schedule.finished}/${one.schedule.rows}` : "—"}</td><td class="num"><${Age} s=${now.age} worth=${now.worth} never="never" /></td><td><${Called} summary=${one} level=${level} /></td>`;
-    }} /><//>`;
+    <${Table} label="All telescopes" cls="net cards" columns=${COLUMNS} rows=${shown} sorted=${BY_SAFETY} keyOf=${(one) => one.id} rowProps=${rowProps} cells=${cells} /><//>`;
+}
+
+function NightOfAll({ telescopes }) {
+  const now = moment.value;
+  return now !== null && html`<${Card} name="The night, all telescopes" testid="nights" end=${html`<span class="key">exposed</span><span class="key dash">planned</span><span class="desk">UTC; twilight of each site</span>`}><${Nights} telescopes=${telescopes} now=${now} night=${nightOf(now)} /><//>`;
 }
 
 export function Network() {
-  tick.value; // eslint-disable-line no-unused-expressions
   const show = useSignal("all");
   const view = useSignal(null);
   const telescopes = [...net.value.values()].filter((one) => !one.shared).sort((a, b) => rank(a) - rank(b) || a.id.localeCompare(b.id));
-  if (!telescopes.length) return html`<h1 class="vh" tabindex="-1">Network</h1>${link.value === "live" ? html`<${Empty} icon="scope" title="No telescope on the bus yet">Telescopes appear here by themselves when their nodes start.<//>` : html`<p class="m">Connecting …</p>`}`;
+  if (!telescopes.length) return html`<h1 class="vh" tabindex="-1">Network</h1>${told.value ? html`<${Empty} icon="scope" title="No telescope on the bus yet">Telescopes appear here by themselves when their nodes start.<//>` : html`<p class="m">Connecting …</p>`}`;
   const kinds = { all: () => true, need: needs, open: isOpen, wait: (one) => !one.activity?.length && !needs(one) };
   const chosen = view.value ?? (telescopes.length > 16 ? "compact" : "cards");
   return html`<div class="page-h"><h1 class="vh" tabindex="-1">Network</h1><${Lede} telescopes=${telescopes} /></div>
     <div class="sites" tabindex="0" role="group" aria-label="Sites">${[...bySite(telescopes)].map(([site, here]) => html`<${Guard} name=${site} key=${site}><${Site} site=${site} telescopes=${here} /><//>`)}</div>
     <div class="row wrap chips-x">${[["all", "All"], ["need", "Need you"], ["open", "Open"], ["wait", "Waiting"]].map(([kind, word]) => html`<button key=${kind} class="chip" aria-pressed=${String(show.value === kind)} onClick=${() => { show.value = kind; }}>${word} <i>${telescopes.filter(kinds[kind]).length}</i></button>`)}
       <span class="grow"></span><span class="tagline desk">Worst first</span><${Segment} label="View" options=${[["cards", "Cards"], ["compact", "Compact"]]} value=${chosen} onChange=${(value) => { view.value = value; }} /></div>
-    <div class="tiles" data-view=${chosen === "compact" ? "compact" : null}>${telescopes.filter(kinds[show.value]).map((one) => html`<${Guard} name=${one.telescope_id} key=${one.id}><${Tile} summary=${one} /><//>`)}</div>
-    ${skyNow() !== null && html`<${Card} name="The night, all telescopes" testid="nights" end=${html`<span class="key">exposed</span><span class="key dash">planned</span><span class="desk">UTC; twilight of each site</span>`}><${Nights} telescopes=${telescopes} now=${skyNow()} night=${nightOf(skyNow())} /><//>`}
+    <div class="tiles" data-view=${chosen === "compact" ? "compact" : null}>${telescopes.filter(kinds[show.value]).map((one) => html`<${Guard} name=${one.telescope_id} key=${one.id}><${Tile} summary=${one} brief=${chosen === "compact"} /><//>`)}</div>
+    <${NightOfAll} telescopes=${telescopes} />
     <${All} telescopes=${telescopes} />`;
 }

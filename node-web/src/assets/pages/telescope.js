@@ -10,12 +10,13 @@ import { useGet, useReport } from "../api.js";
 import { SkyMap } from "../sky.js";
 import { useSite } from "../site.js";
 import { useForecast } from "../forecast.js";
-import { Age, Card, Empty, Priority, Stat, Table, Time, standing } from "../parts.js";
+import { Age, Card, Empty, Guard, Priority, Stat, Table, Time, standing } from "../parts.js";
 import { ageOf, quality, skyNow, tick, useTopic } from "../store.js";
 import { inputWords } from "../shell.js";
 import { useCorrections } from "../corrections.js";
 import { activity } from "../activity.js";
 import { inputValue } from "../inputs.js";
+import { Webcams } from "../webcams.js";
 
 const body = (states, key) => states?.get(key)?.body;
 
@@ -165,6 +166,7 @@ export function Telescope({ id, summary }) {
   return html`<${Doing} id=${id} summary=${summary} states=${states} />
     <${NightCard} id=${id} states=${states} site=${site} />
     <div class="grid g3"><${Image} id=${id} summary=${summary} states=${states} /><${Sky} states=${states} site=${site} /><div class="stack"><${GuidingCard} id=${id} summary=${summary} states=${states} /><${FocusCard} id=${id} summary=${summary} states=${states} /><${FramesCard} id=${id} summary=${summary} states=${states} /></div></div>
+    <${Guard} name="Webcams"><${Webcams} of=${[{ site: summary.site_id, telescope: summary.telescope_id }]} /><//>
     <div class="grid g-side"><${Verdict} id=${id} summary=${summary} states=${states} /><${Command} id=${id} states=${states} /></div>
     <${Devices} id=${id} states=${states} />`;
 }

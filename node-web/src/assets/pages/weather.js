@@ -5,9 +5,13 @@ import { devicesOf, known } from "../devices.js";
 import { clock, duration, number } from "../format.js";
 import { SPANS, useHistory } from "../history.js";
 import { PARAMETERS, inputValue, limitsOf } from "../inputs.js";
-import { Age, Bullet, Card, Empty, Loaded, Segment, Table, Time, Words, standing } from "../parts.js";
+import { Age, Bullet, Card, Empty, Guard, Loaded, Segment, Table, Time, Words, standing } from "../parts.js";
 import { bySite } from "../shell.js";
 import { ageOf, net, quality, skyNow, tick, useTopic } from "../store.js";
+import { Webcams } from "../webcams.js";
+
+/** What has these units is shown from nothing on. */
+const MEASURED_FROM_ZERO = ["m/s", "%", "mm/h"];
 
 /** Intervals in which the verdict was not safe, as pairs of times. */
 function unsafeTimes(safety, t0, now) {
@@ -44,8 +48,8 @@ function Station({ id, device, inputs, safety }) {
           <td class="num">${limit ? `${limit.side === "below" ? "≥" : "≤"} ${number(limit.v, digits)}` : "—"}</td><td class="num hidep">${points.length ? `${number(least, digits)} … ${number(most, digits)}` : "—"}</td>`;
       }} /><//>
     <${Card} name="The past" end=${html`<${Segment} label="How far back" options=${SPANS} value=${hours.value} onChange=${(value) => { hours.value = value; }} />`}><${Loaded} of=${past} what="The past">${() => {
-      const panels = measured.filter(([property]) => series(property)?.points.length).map(([property, , label, unit, , digits]) => ({ name: label, unit, digits, height: 110, limits: limitsOf(inputs, device.name, property),
-        series: [{ name: "", points: pointsOf(series(property)), colour: "--s4" }, { name: "most", points: pointsOf(series(property), "max"), colour: "--s1", width: 0.7, quiet: true }, { name: "least", points: pointsOf(series(property), "min"), colour: "--s1", width: 0.7, quiet: true }] }));
+      const panels = measured.filter(([property]) => series(property)?.points.length).map(([property, , label, unit, , digits]) => ({ name: label, unit, digits, height: 110, zero: MEASURED_FROM_ZERO.includes(unit), limits: limitsOf(inputs, device.name, property),
+        series: [{ name: "", head: `${label} mean`, points: pointsOf(series(property)), colour: "--s4" }, { name: "most", points: pointsOf(series(property), "max"), colour: "--s1", width: 0.7, quiet: true }, { name: "least", points: pointsOf(series(property), "min"), colour: "--s1", width: 0.7, quiet: true }] }));
       if (!panels.length) return html`<${Empty} icon="cloud" title="The archive has no weather of this time yet" />`;
       return html`<p class="tagline">Line: mean. Thin lines: least and most of each piece, so that a gust of seconds is seen over three days. Hatched: beyond a limit. Bar at the foot: not safe.</p>
         <${Chart} t0=${past.t0} t1=${past.t1} now=${skyNow()} unsafe=${unsafeTimes(safety, past.t0, past.t1)} panels=${panels} />`;
@@ -61,6 +65,7 @@ export function Weather({ id, summary }) {
   const stations = devicesOf(states).filter((device) => device.kind === "observingconditions");
   return html`${!summary.shared && html`<div class="grid g-side"><${Reasons} id=${id} summary=${summary} entry=${entry} /><${Card} name="Inputs" flush><${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: "Age", num: true }]} rows=${inputs} keyOf=${(input) => input.input}
       cells=${(input) => html`<td class="k">${input.good ? "" : "▼ "}${input.input}</td><td>${inputValue(input)}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} never="never" /></td>`} /><//></div>`}
+    <${Guard} name="Webcams"><${Webcams} of=${[{ site: summary.site_id, telescope: summary.shared ? null : summary.telescope_id }]} /><//>
     ${stations.length ? stations.map((device) => html`<${Station} key=${device.key} id=${id} device=${device} inputs=${inputs} safety=${entry?.body} />`) : html`<${Empty} icon="cloud" title="No weather station">None of this telescope or its site is on the bus.<//>`}`;
 }
 
@@ -71,5 +76,5 @@ export function AllWeather() {
     const now = standing(summary);
     return html`<section class="card" key=${summary.id}><header><h2><a href=${`/t/${summary.id}/weather`}>${summary.telescope_id}</a></h2></header><${Words} now=${now} />${(summary.safety?.reasons ?? []).map((reason) => html`<p key=${reason.input}><b>${reason.input}</b> ${reason.why}</p>`)}
       ${summary.safety?.time_to_safe_s != null && now.safety === "unsafe" && html`<p class="m">Safe at the earliest in ${duration(summary.safety.time_to_safe_s)}.</p>`}<p><a class="btn sm soft" href=${`/t/${summary.id}/weather`}>Limits and history</a></p></section>`;
-  })}</div></section>`)}`;
+  })}</div><${Guard} name="Webcams"><${Webcams} of=${[{ site }]} /><//></section>`)}`;
 }

@@ -1,0 +1,197 @@
+// Charts on a recorded bus: what they draw beside their lines; and the table that each has, by keyboard, with the chart's own points, which gives CSV.
+import { test, before, after } from "node:test";
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import { TEST, launch, looks, newPage, settled, startRecorded } from "./browser.js";
+
+const TIME = /^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d$/;
+const id = "demo/alpha";
+let bus, browser, page;
+
+const minute = (n) => new Date(Date.parse("2026-11-27T01:55:00Z") + n * 60e3).toISOString();
+const CURVE = { object: "WASP-18", filter: "R", camera: "camera", comparison_stars: 4, points: Array.from({ length: 30 }, (_, n) => ({ mid_utc: minute(n), flux: n === 7 ? null : 1 + n / 1000, flux_error: 0.001, fwhm_arcsec: 2 + n / 100, sky_adu: 700 + n, dx_px: n / 50, dy_px: -n / 50, airmass: 1.1 })) };
+const { run: RUN } = JSON.parse(readFileSync(join(import.meta.dirname, "../../common/contract/golden/v1/observatory.focus.json"), "utf8"));
+
+before(async () => {
+  bus = await startRecorded();
+  const states = await bus.states();
+  await bus.put({ [`${id}/observatory/focus/state`]: { ...states[`${id}/observatory/focus/state`], run: RUN } });
+  browser = await launch();
+  page = await newPage(browser, { reducedMotion: "reduce" });
+  await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
+  // The recorded night is too short for a light curve.
+  await page.route(/\/nights\/\d+\/report$/, async (route) => {
+    const response = await route.fetch();
+    await route.fulfill({ response, json: { ...(await response.json()), curves: [CURVE] } });
+  });
+}, TEST);
+
+after(async () => {
+  await browser?.close();
+  await bus?.end();
+}, TEST);
+
+/** Opens a page once its charts are there. */
+async function open(address) {
+  await page.goto(bus.url + address);
+  await settled(page);
+  await page.locator(".chart").first().waitFor();
+}
+const heads = (table) => table.locator("thead th").allTextContents();
+const rows = (table) => table.locator("tbody tr").evaluateAll((all) => all.map((row) => [...row.children].map((cell) => cell.textContent)));
+/** The button of the chart whose name begins so. */
+const toggle = (name) => page.getByRole("button", { name: `Table of values: ${name}` });
+/** Opens the table of a chart by keyboard. */
+async function table(name) {
+  await toggle(name).focus();
+  await page.keyboard.press("Enter");
+  assert.equal(await toggle(name).getAttribute("aria-expanded"), "true");
+  return page.locator(`#${await toggle(name).getAttribute("aria-controls")}`);
+}
+
+test("the weather's chart as a table: each parameter with its unit, and the archive's own points", TEST, async () => {
+  await open(`/t/${id}/weather`);
+  const shown = await table("Wind");
+  const [time, ...rest] = await heads(shown);
+  assert.equal(time, "Time, UTC");
+  assert.deepEqual(rest.slice(0, 4), ["Wind mean, m/s", "Wind most, m/s", "Wind least, m/s", "Gusts mean, m/s"]);
+  const answer = await page.evaluate((telescope) => fetch(`/api/v1/telescopes/${telescope}/series?properties=observingconditions/weather/WindSpeed`).then((r) => r.json()), id);
+  const { points } = answer.rows[0].series;
+  const found = await rows(shown);
+  assert.equal(found.length, points.length);
+  assert.ok(found.every(([at]) => TIME.test(at)));
+  assert.deepEqual(found.map(([at, mean, most, least]) => [at, mean, most, least]), points.map((one) => [one.at_utc.slice(0, 19).replace("T", " "), one.mean.toFixed(1), one.max.toFixed(1), one.min.toFixed(1)]).reverse(), "the newest first");
+  await page.keyboard.press("Enter");
+  await shown.waitFor({ state: "detached" });
+  assert.equal(await toggle("Wind").getAttribute("aria-expanded"), "false");
+});
+
+test("what is zoomed away is not in the table", TEST, async () => {
+  await open(`/t/${id}/weather`);
+  const shown = await table("Wind");
+  const all = Number(await shown.getAttribute("data-rows"));
+  const chart = page.locator('[data-testid="chart"]').first();
+  await chart.focus();
+  for (let i = 0; i < 5; i += 1) await page.keyboard.press("+");
+  await page.waitForFunction(([count]) => Number(document.querySelector('[data-testid="numbers"]').dataset.rows) < count, [all]);
+  const [from, to] = await chart.evaluate((one) => [Number(one.dataset.from), Number(one.dataset.to)]);
+  for (const [at] of await rows(shown)) { const t = Date.parse(`${at.replace(" ", "T")}Z`); assert.ok(t > from - 1000 && t <= to); }
+});
+
+test("guiding, focus and light curve have theirs; what was not measured is a dash with its reason", TEST, async () => {
+  await open(`/t/${id}/guiding`);
+  const corrections = await page.evaluate((telescope) => fetch(`/api/v1/telescopes/${telescope}/guiding/corrections?limit=3000`).then((r) => r.json()), id);
+  const errors = await table("Error");
+  assert.deepEqual(await heads(errors), ["Time, UTC", "Error east, px", "Error north, px", "Pulse east, ms", "Pulse north, ms", "FWHM, px", "Stars used"]);
+  const [from, to] = await page.locator('[data-testid="chart"]').evaluate((one) => [Number(one.dataset.from), Number(one.dataset.to)]);
+  const inView = corrections.rows.filter(({ correction }) => Date.parse(correction.mid_utc) >= from && Date.parse(correction.mid_utc) <= to);
+  assert.ok(inView.length > 10);
+  assert.equal((await rows(errors)).length, inView.length);
+  assert.deepEqual(await heads(await table("East against north")), ["Time, UTC", "East, px", "North, px", "Pier side"]);
+
+  await open(`/t/${id}/focus`);
+  const run = await table("Size of stars");
+  assert.deepEqual(await heads(run), ["Position, steps", "HFD, px", "Error", "Stars", "Pass", "Not measured because"]);
+  assert.deepEqual(await rows(run), RUN.points.map((one) => [String(one.position), one.value?.toFixed(2) ?? "—", one.error?.toFixed(2) ?? "—", one.stars ? String(one.stars) : "—", one.pass, one.reason ?? ""]));
+  await toggle("FWHM").waitFor();
+
+  await open(`/t/${id}/lightcurve`);
+  const curve = await table("Flux");
+  assert.deepEqual(await heads(curve), ["Time, UTC", "Flux against its median, ppt", "Mean of 5 min, ppt", "FWHM, ″", "Sky, ADU", "Drift x, px", "Drift y, px", "Airmass"]);
+  const found = await rows(curve);
+  assert.equal(found.filter((row) => row[3] !== "").length, CURVE.points.length);
+  assert.deepEqual(found.find(([at]) => at === "2026-11-27 02:02:00").slice(0, 4), ["2026-11-27 02:02:00", "—", "", "2.07"], "a frame without flux is a dash; where a series has no point nothing stands");
+});
+
+test("it is copied as CSV with all digits, also where the browser has only the old way, and else it can be copied by hand", TEST, async () => {
+  await open(`/t/${id}/lightcurve`);
+  const curve = await table("Flux");
+  const copy = () => curve.getByRole("button", { name: "Copy as CSV" }).click();
+  const pasted = () => page.evaluate(() => navigator.clipboard.readText());
+  await copy();
+  await curve.getByText(/^Copied: \d+ rows\.$/).waitFor();
+  const text = await pasted();
+  const lines = text.trimEnd().split("\n").map((line) => line.split(","));
+  assert.deepEqual(lines[0], ["time_utc", "Flux against its median (ppt)", "Mean of 5 min (ppt)", "FWHM (″)", "Sky (ADU)", "Drift x (px)", "Drift y (px)", "Airmass"]);
+  assert.deepEqual(lines[1], ["2026-11-27T01:55:00.000Z", lines[1][1], "", "2", "700", "0", "0", "1.1"]);
+  assert.equal(lines.length, 1 + Number(await curve.getAttribute("data-rows")));
+  assert.ok(lines.every((line) => line.length === lines[0].length));
+  assert.deepEqual(lines.slice(1).map(([at]) => at).sort(), lines.slice(1).map(([at]) => at), "what came first is first");
+  await page.evaluate(async () => {
+    await navigator.clipboard.writeText("before");
+    navigator.clipboard.writeText = () => Promise.reject(new Error("no TLS"));
+  });
+  await copy();
+  await page.waitForFunction(async () => (await navigator.clipboard.readText()).startsWith("time_utc"));
+  assert.equal(await pasted(), text);
+  await page.evaluate(() => { document.execCommand = () => false; });
+  await copy();
+  assert.equal(await curve.getByRole("textbox").inputValue(), text);
+  assert.match(await curve.getByRole("status").textContent(), /does not let/);
+});
+
+test("a text from the bus is no formula and breaks no line of the CSV", TEST, async () => {
+  const text = await page.evaluate(() => import("/assets/numbers.js").then(({ csv }) => csv([{ name: "=cmd|' /C calc'!A0", unit: "a,b" }, { name: "x", digits: 1 }, { name: 'He said "hi"' }], [["@SUM(1)", -1.5, "one\ntwo"], [null, NaN, undefined], [{ tag: "img" }, 1e-9, "+1"]])));
+  assert.equal(text, `"'=cmd|' /C calc'!A0 (a,b)",x,"He said ""hi"""\n'@SUM(1),-1.5,"one\ntwo"\n,,\n"{""tag"":""img""}",1e-9,'+1\n`);
+});
+
+test("a second that passes makes no table anew", TEST, async () => {
+  await open(`/t/${id}/guiding`);
+  await table("Error");
+  const drawn = await page.evaluate(async () => {
+    const { options } = await import("/assets/vendor/preact.js");
+    const { tick } = await import("/assets/store.js");
+    const before = options.__r;
+    const counts = {};
+    options.__r = (vnode) => { if (typeof vnode.type === "function") counts[vnode.type.name] = (counts[vnode.type.name] ?? 0) + 1; before?.(vnode); };
+    tick.value += 1;
+    await new Promise((resolve) => { setTimeout(resolve); });
+    options.__r = before;
+    return counts;
+  });
+  assert.ok(drawn.Guiding > 0, "the page itself is drawn each second");
+  assert.equal(drawn.Numbers ?? 0, 0);
+});
+
+test("the decimals of an axis are as many as tell its values apart", TEST, async () => {
+  const told = await page.evaluate(() => import("/assets/format.js").then(({ labels }) => [[0, 5, 10], [733.6, 733.7, 733.8], [0.3, 0.4, 0.1 + 0.4], [-0.05, 0, 0.05], [2.5, 5, 7.5], [12], [], [1e9, 2e9], [0, 1e-7]].map(labels)));
+  assert.deepEqual(told, [["0", "5", "10"], ["733.6", "733.7", "733.8"], ["0.3", "0.4", "0.5"], ["−0.05", "0.00", "0.05"], ["2.5", "5.0", "7.5"], ["12"], [], ["1000000000", "2000000000"], ["0.0000", "0.0000"]]);
+});
+
+test("a focus run shows the points that could not be measured, the critical zone and the best position", TEST, async () => {
+  await open(`/t/${id}/focus`);
+  const plane = page.getByRole("img", { name: "Size of stars against the focuser's position" });
+  await plane.waitFor();
+  assert.equal(await plane.locator(".ln.cross").count(), RUN.points.filter((point) => point.value === undefined).length);
+  const wide = await plane.locator(".limzone").evaluate((one) => Number(one.getAttribute("width")));
+  assert.ok(wide > 20, `the zone is ${wide} px`);
+  assert.equal(await plane.locator(".mark").count(), 1);
+  assert.match(await page.locator("main").textContent(), /critical zone ± 118 steps/, "the run has its half width");
+});
+
+test("the film of a light curve follows the cursor by whole pieces", TEST, async () => {
+  await open(`/t/${id}/lightcurve`);
+  const film = page.getByRole("navigation", { name: "Frames around the cursor" });
+  await film.waitFor();
+  const shown = () => film.locator("a").evaluateAll((all) => all.map((one) => one.getAttribute("href")));
+  const current = () => film.locator("a[aria-current]").evaluateAll((all) => all.map((one) => one.getAttribute("href")));
+  const last = await current();
+  assert.equal(last.length, 1);
+  assert.ok((await shown()).length <= 9 && (await shown()).includes(last[0]));
+  // From its end, the cursor goes to the first point.
+  await page.locator('[data-testid="chart"]').focus();
+  for (let i = 0; i < 100; i += 1) await page.keyboard.press("ArrowLeft");
+  await page.waitForFunction((href) => document.querySelector(".film a[aria-current]")?.getAttribute("href") !== href, last[0]);
+  assert.equal((await current()).length, 1);
+});
+
+test("open tables have no serious finding of axe-core in three themes, and fit a phone", TEST, async () => {
+  const found = [];
+  for (const [address, name] of [["weather", "Wind"], ["focus", "Size of stars"], ["lightcurve", "Flux"]]) {
+    await open(`/t/${id}/${address}`);
+    await table(name);
+    found.push(...(await looks(page, address)));
+  }
+  assert.deepEqual(found, []);
+});

@@ -1,0 +1,156 @@
+// The network page with fifty telescopes, in cards, in lines and as a table: worst first, nothing covers anything else, and a second that
+// passes draws ages and nothing else.
+import { test, before, after, beforeEach, afterEach } from "node:test";
+import assert from "node:assert/strict";
+import { mkdtempSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { serveFifty } from "./fifty.js";
+import { TEST, configure, end, launch, looks, newPage, problemsOf, startWebNode, tooWide } from "./browser.js";
+
+let node, browser, page, url, folder, server, problems;
+
+before(async () => {
+  folder = mkdtempSync(join(tmpdir(), "starmesh-fifty-"));
+  ({ node, url } = await startWebNode(configure(folder)));
+  browser = await launch();
+}, TEST);
+
+after(async () => {
+  await browser?.close();
+  await end(node, "SIGTERM");
+  rmSync(folder, { recursive: true, force: true });
+}, TEST);
+
+beforeEach(async () => {
+  page = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 900 } });
+  problems = problemsOf(page);
+  server = await serveFifty(page);
+  await page.goto(url);
+  await page.locator('[data-testid="tile"]').nth(49).waitFor();
+}, TEST);
+
+afterEach(async () => {
+  server?.end();
+  await page?.close();
+}, TEST);
+
+const WORST = ["san-pedro/taygete", "paranal/ananke31", "sutherland/amalthea44"];
+const ids = (selector, name) => page.locator(selector).evaluateAll((all, attribute) => all.map((one) => one.getAttribute(attribute)), name);
+const tiles = () => ids('[data-testid="tile"]', "data-telescope");
+const rows = () => ids('[data-testid="row"]', "data-of");
+const press = (name) => page.getByRole("button", { name, exact: true }).click();
+
+/** How often each component is drawn by a second that passes, or by a change of the summary of `id`. */
+const drawnBy = (id = null, change = {}) => page.evaluate(async ([name, more]) => {
+  const { options } = await import("/assets/vendor/preact.js");
+  const { net, tick } = await import("/assets/store.js");
+  const before = options.__r;
+  const counts = {};
+  options.__r = (vnode) => { if (typeof vnode.type === "function") counts[vnode.type.name] = (counts[vnode.type.name] ?? 0) + 1; before?.(vnode); };
+  if (name) net.value = new Map(net.value).set(name, { ...net.value.get(name), ...more });
+  else tick.value += 1;
+  await new Promise((resolve) => { setTimeout(resolve); });
+  options.__r = before;
+  return counts;
+}, /** @type {const} */ ([id, change]));
+
+test("worst first in tiles, night and table; only those that need somebody are whole cards", TEST, async () => {
+  assert.deepEqual((await tiles()).slice(0, 3), WORST);
+  assert.deepEqual((await rows()).slice(0, 3), WORST);
+  assert.equal(new Set(await tiles()).size, 50);
+  assert.equal((await rows()).length, 50);
+  await page.locator('[data-testid="nights"]').scrollIntoViewIfNeeded();
+  await page.locator('[data-testid="night-line"]').nth(49).waitFor();
+  assert.deepEqual((await ids('[data-testid="night-line"]', "data-of")).slice(0, 3), WORST);
+  const heights = await page.locator('[data-testid="tile"]').evaluateAll((all) => all.map((one) => one.getBoundingClientRect().height));
+  assert.ok(heights.slice(0, 3).every((height) => height > 150) && heights.slice(3).every((height) => height < 60), String(heights));
+  await press("Need you 3");
+  assert.deepEqual(await tiles(), WORST);
+  assert.match(await page.locator('[data-testid="lede"]').textContent(), /^taygete, ananke31 need you now\. amalthea44 needs you tonight\./);
+});
+
+test("in no view and at no width does a part cover another, and the page does not scroll sideways", TEST, async () => {
+  for (const width of [1280, 1024, 768, 390, 320]) {
+    await page.setViewportSize({ width, height: 900 });
+    for (const view of ["Cards", "Compact"]) {
+      await press(view);
+      const bad = await page.locator('[data-testid="tile"]').evaluateAll((all) => all.flatMap((one) => {
+        const name = one.getAttribute("data-telescope");
+        const box = (part) => one.querySelector(part)?.getBoundingClientRect();
+        const outer = one.getBoundingClientRect();
+        const parts = [".tile-h b", ".what", ".btn", ".stats"].map((part) => [part, box(part)]).filter(([, found]) => found?.width);
+        const found = parts.filter(([, at]) => at.left < outer.left || at.right > outer.right + 0.5 || at.bottom > outer.bottom + 0.5 || at.top < outer.top - 0.5).map(([part]) => `${name}: ${part} leaves its tile`);
+        for (const [i, [first, a]] of parts.entries()) for (const [second, b] of parts.slice(i + 1)) if (a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1) found.push(`${name}: ${first} covers ${second}`);
+        return found;
+      }));
+      assert.deepEqual(bad, [], `${view} at ${width}`);
+      assert.equal(await tooWide(page), null, `${view} at ${width}`);
+    }
+    if (width === 1280 || width === 390) assert.equal(await page.locator(".tw", { has: page.locator('[data-testid="row"]') }).evaluate((one) => one.scrollWidth <= one.clientWidth), true, `the whole table is seen at ${width}`);
+  }
+});
+
+test("a second that passes draws ages; what one telescope does draws its own parts", TEST, async () => {
+  await page.locator('[data-testid="nights"]').scrollIntoViewIfNeeded();
+  await page.locator('[data-testid="night-line"]').nth(49).waitFor();
+  // The step of ten seconds and a page that is just coming are no seconds: the least of some.
+  const least = (all, name) => Math.min(...all.map((counts) => counts[name] ?? 0));
+  const seconds = [];
+  for (let i = 0; i < 4; i += 1) seconds.push(await drawnBy());
+  assert.equal(least(seconds, "Age"), 100, "each tile and each row has an age");
+  for (const name of ["Tile", "Row", "Table", "All", "Line", "Nights", "Network", "Rail", "Lede"]) assert.equal(least(seconds, name), 0, name);
+  const [id] = WORST;
+  const tile = page.locator(`[data-testid="tile"][data-telescope="${id}"]`);
+  const changed = await drawnBy(id, { frames: 9999 });
+  assert.deepEqual([changed.Tile, changed.Row], [1, 1]);
+  await tile.getByText("9999").waitFor();
+});
+
+test("a telescope that falls silent is told without a message of it, and the others stay", TEST, async () => {
+  const [, , third] = WORST;
+  server.silent.add("teide/callisto43");
+  await page.locator('[data-testid="tile"][data-telescope="teide/callisto43"][data-quality="lost"]').waitFor();
+  await page.locator('[data-testid="row"][data-of="teide/callisto43"][data-quality="lost"]').waitFor();
+  assert.ok((await tiles()).indexOf("teide/callisto43") < (await tiles()).indexOf(third), "it needs somebody more than what is medium");
+  assert.equal(await page.locator('[data-testid="tile"][data-quality="fresh"]').count(), 49);
+  server.silent.clear();
+  await page.locator('[data-testid="tile"][data-telescope="teide/callisto43"][data-quality="fresh"]').waitFor();
+});
+
+test("by keyboard: the worst comes first, the focus stays where it is when another comes to the front, and the table is filtered and sorted", TEST, async () => {
+  const close = page.locator('[data-testid="tile"][data-telescope="paranal/elara"]').getByRole("button");
+  await close.focus();
+  const elara = server.told.get("la-silla/metis");
+  server.tell({ ...elara, concern: "critical", alerts: [{ ...server.told.get(WORST[0]).alerts[0], id: "another" }] });
+  await page.waitForFunction(() => document.querySelector('[data-testid="tile"]').dataset.telescope === "la-silla/metis");
+  assert.equal(await close.evaluate((one) => document.activeElement === one), true);
+  await page.locator('.seg [aria-pressed="true"]', { hasText: "Compact" }).focus();
+  await page.keyboard.press("Tab");
+  assert.equal(await page.evaluate(() => document.activeElement.closest("[data-telescope]")?.dataset.telescope), "la-silla/metis");
+  await page.keyboard.press("/");
+  await page.keyboard.type("trappist");
+  await page.waitForFunction(() => document.querySelectorAll('[data-testid="row"]').length < 20);
+  const shown = await rows();
+  await page.getByRole("button", { name: "Telescope", exact: true }).focus();
+  await page.keyboard.press("Enter");
+  const name = (id) => id.split("/")[1];
+  assert.deepEqual((await rows()).map(name), shown.map(name).sort());
+});
+
+test("images that the view hides are not asked for", TEST, async () => {
+  await page.locator('[data-testid="tile"] .thumb img').nth(2).waitFor();
+  assert.deepEqual([...server.images].sort(), [...WORST].sort());
+  await press("Cards");
+  await page.locator('[data-testid="tile"] .thumb img').nth(49).waitFor();
+  assert.equal(new Set(server.images).size, 50);
+});
+
+test("fifty telescopes have no serious finding of axe-core in three themes at two widths", TEST, async () => {
+  const found = await looks(page, "compact");
+  await press("Cards");
+  await page.setViewportSize({ width: 1280, height: 900 });
+  found.push(...(await looks(page, "cards")));
+  assert.deepEqual(found, []);
+  assert.deepEqual(problems, []);
+});
