@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """A transit in a simulated night, by our light curve and by prose's of the very same files; see README.md in this folder.
 
-    cargo build -p starmesh && python3 tests/bench/transit.py [FOLDER]      # five minutes; with FOLDER, what the night wrote stays there
+    scripts/setup proof && cargo build -p starmesh && python3 tests/bench/transit.py [FOLDER]      # five minutes; with FOLDER, what the night wrote stays there
 
-Standard library only: prose (PyPI, MIT) gets an environment of its own in target/venv-prose, since it needs old versions of others. Exit code 1
-where the two curves do not agree.
+Standard library only: prose (PyPI, MIT) has an environment of its own in target/venv-prose (`scripts/setup proof`), since it needs old versions of
+others. Exit code 1 where the two curves do not agree.
 """
 
 import json
@@ -20,30 +20,16 @@ sys.path[:0] = [str(PROJECT / "tests/foreign"), str(PROJECT / "tests/python")]
 from transit_night import DEC_DEG, DEPTH, RA_DEG, Fit, Transit, points  # noqa: E402
 
 STARMESH = os.environ.get("STARMESH_BIN", str(PROJECT / "target/debug/starmesh"))
-VENV = PROJECT / "target/venv-prose"
-# prose 3.3.4 assigns to parts of tables in a way that pandas 3 ignores
-PACKAGES = ["prose==3.3.4", "pandas<3"]
+PYTHON = os.environ.get("STARMESH_PROSE", str(PROJECT / "target/venv-prose/bin/python"))
 # as long as the target stands in the east: the more points, the less what prose gains by choosing for this curve
 AFTER_MID_MIN = 65.0
 # how much the scatters may differ
 SHARE = 0.2
 
 
-def install():
-    if not (VENV / "installed").exists():
-        print(f"installing {' '.join(PACKAGES)} into {VENV} (900 MB) ...", file=sys.stderr, flush=True)
-        subprocess.run([sys.executable, "-m", "venv", "--clear", str(VENV)], check=True)
-        subprocess.run([str(VENV / "bin/pip"), "install", "-q", "--disable-pip-version-check", *PACKAGES], check=True)
-        (VENV / "installed").touch()
-
-
 def prose(folder: pathlib.Path) -> dict:
     """Its curve of the FITS files as they are."""
-    # On its first start prose fetches from GitHub the weights of a network for centroids, which is not used here: an empty file stands for it.
-    weights = folder / "home/.prose/centroid.h5"
-    weights.parent.mkdir(parents=True)
-    weights.touch()
-    command = [str(VENV / "bin/python"), "-B", str(PROJECT / "tests/bench/prose_curve.py"), str(folder / "images"), str(RA_DEG), str(DEC_DEG)]
+    command = [PYTHON, "-B", str(PROJECT / "tests/foreign/prose_curve.py"), str(folder / "images"), str(RA_DEG), str(DEC_DEG)]
     done = subprocess.run(command, env=os.environ | {"HOME": str(folder / "home")}, capture_output=True, text=True, timeout=1800)
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(done.stdout.splitlines()[-1])
@@ -62,7 +48,7 @@ def compare(folder: pathlib.Path) -> list[str]:
     print("| | simulated | Starmesh | prose 3.3.4 |\n|---|--:|--:|--:|")
     print(f"| points outside, inside | | {ours.outside}, {ours.inside} | {other.outside}, {other.inside} |")
     print(f"| comparison stars | | {curve['comparison_stars']} | {theirs['comparison_stars']} |")
-    print("| frames that calibrate | | 0 | {bias} bias, {darks} dark, {flats} flat |".format(**theirs["files"]))
+    print("| frames that calibrate | | 0 | {bias} bias, {darks} dark, {flats} flat |".format(**{kind: len(names) for kind, names in theirs["files"].items()}))
     print(f"| depth, thousandths | {1e3 * DEPTH:.2f} | {1e3 * ours.depth:.2f} +- {1e3 * ours.depth_error:.2f} | "
           f"{1e3 * other.depth:.2f} +- {1e3 * other.depth_error:.2f} |")
     print(f"| scatter outside of the transit, thousandths | {1e3 * photons(curve):.2f} (photons) | {1e3 * ours.scatter:.2f} | {1e3 * other.scatter:.2f} |")
@@ -82,7 +68,6 @@ def photons(curve: dict) -> float:
 
 
 def main() -> int:
-    install()
     with tempfile.TemporaryDirectory(prefix="starmesh-transit-") as temporary:
         folder = pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else temporary)
         folder.mkdir(parents=True, exist_ok=True)

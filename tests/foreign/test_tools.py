@@ -3,6 +3,7 @@
 `UPDATE_DOCS=1` writes the table there again.
 """
 
+import json
 import os
 import pathlib
 import re
@@ -10,11 +11,14 @@ import shutil
 import sqlite3
 import subprocess
 import warnings
+from collections import Counter
 from importlib.metadata import version
 
 import numpy as np
 import pytest
+import shipped_sky
 from astropy import units as u
+from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.nddata import CCDData
 from astropy.time import Time
@@ -43,6 +47,50 @@ class Night:
         return next(path for path in self.of("Light") if self.headers[path].get("SOLVED"))
 
 
+class Series:
+    """The solved light frames of one target, and the stars of the shipped catalogue that are bright, alone and not saturated in all of them."""
+
+    EDGE_PX, ALONE_PX, LEAST_ADU, MOST_ADU = 40, 20, 3000.0, 45_000.0
+
+    def __init__(self, night: Night, paths: list[pathlib.Path]):
+        self.paths, self.headers = paths, [night.headers[path] for path in paths]
+        self.first = self.headers[0]
+        ra, dec, mag = shipped_sky.stars()
+        around = SkyCoord(self.first["RA"], self.first["DEC"], unit="deg").separation(SkyCoord(ra, dec, unit="deg"))
+        near = around < self.first["NAXIS1"] * self.first["PIXSCALE"] * u.arcsec
+        ra, dec, mag = ra[near], dec[near], mag[near]
+        good = np.full(len(ra), True)
+        for path, header in zip(paths, self.headers):
+            light = fits.getdata(path) - header["BKGLEVEL"]
+            x, y = places(header, ra, dec)
+            apart = np.hypot(x[:, None] - x, y[:, None] - y)
+            np.fill_diagonal(apart, np.inf)
+            good &= (np.minimum(x, y) > self.EDGE_PX) & (x < light.shape[1] - self.EDGE_PX) & (y < light.shape[0] - self.EDGE_PX)
+            good &= apart.min(axis=1) > self.ALONE_PX
+            brightest = [light[round(y[star]) - 3:round(y[star]) + 4, round(x[star]) - 3:round(x[star]) + 4].max() for star in np.flatnonzero(good)]
+            good[good] = (self.LEAST_ADU < np.array(brightest)) & (np.array(brightest) < self.MOST_ADU)
+        self.places, self.mag = SkyCoord(ra[good], dec[good], unit="deg"), mag[good]
+
+
+def places(header, ra, dec) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows, from 0, of places in the sky."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # SWarp writes MJD-OBS alone, and astropy tells that it takes the date from there
+        return WCS(header).all_world2pix(ra, dec, 0, quiet=True)
+
+
+@pytest.fixture(scope="module")
+def series(night) -> Series:
+    """The one with the most stars that can be measured."""
+    by_target: dict[str, list[pathlib.Path]] = {}
+    for path in night.of("Light"):
+        if night.headers[path].get("SOLVED"):
+            by_target.setdefault(night.headers[path]["OBJECT"], []).append(path)
+    best = max((Series(night, paths) for paths in by_target.values() if len(paths) >= 10), key=lambda series: len(series.mag))
+    assert len(best.mag) >= 5, {target: len(paths) for target, paths in by_target.items()}
+    return best
+
+
 @pytest.fixture(scope="module")
 def night(starmesh, tmp_path_factory) -> Night:
     """Where a kept night is given (`STARMESH_NIGHT`), that one."""
@@ -54,10 +102,24 @@ def night(starmesh, tmp_path_factory) -> Night:
     return Night(folder)
 
 
-def run(*command) -> str:
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300)
+@pytest.fixture(scope="module")
+def lco(night, starmesh, tmp_path_factory) -> list[pathlib.Path]:
+    """Copies of all files by the profile of LCO's archive."""
+    out = tmp_path_factory.mktemp("copies") / "lco"
+    run(starmesh, "fits", "convert", *night.files, "--profile", "lco", "--out", out, "--set", "SITEID=dem", "--set", "TELID=0m3a")
+    return sorted(out.iterdir())
+
+
+def run(*command, **options) -> str:
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=1800, **options)
     assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
     return done.stdout
+
+
+def debian(program: str, package: str) -> str:
+    """The version of a program's package."""
+    assert shutil.which(program), f"{program} is missing: apt-get install {package} (scripts/setup proof does)"
+    return run("dpkg-query", "-W", "-f", "${Version}", package)
 
 
 def test_names_are_plain_and_in_the_order_of_exposure(night):
@@ -126,21 +188,44 @@ def test_ccdproc_makes_the_uncertainty_of_a_frame(night):
     assert lights == len(night.of("Light"))
 
 
-def test_ocs_archive_takes_the_names_and_a_whole_night_by_the_profile_lco(night, starmesh, tmp_path):
+def test_ocs_archive_takes_the_names_and_a_whole_night_by_the_profile_lco(night, lco):
     os.environ.setdefault("FILESTORE_TYPE", "local")
     from ocs_archive.input.file import File
     from ocs_archive.input.filefactory import FileFactory
 
-    out = tmp_path / "lco"
-    run(starmesh, "fits", "convert", *night.files, "--profile", "lco", "--out", out, "--set", "SITEID=dem", "--set", "TELID=0m3a")
-    copies = sorted(out.iterdir())
-    for path in [*night.files, *copies]:
+    for path in [*night.files, *lco]:
         with open(path, "rb") as opened:
             file = File(opened, path.name)
             assert (file.basename, file.extension) == (path.stem, ".fits"), path
             FileFactory.get_datafile_class_for_extension(file.extension)(file, required_headers=[])
-    SAID["`ocs-archive`"] = (version("ocs-archive"), f"{len(copies)} copies of {len(night.files)} frames by profile `lco`")
-    assert len(copies) == len(night.files)
+    SAID["`ocs-archive`"] = (version("ocs-archive"), f"{len(lco)} copies of {len(night.files)} frames by profile `lco`")
+    assert len(lco) == len(night.files)
+
+
+def test_ocs_ingester_makes_a_record_of_every_copy_by_the_profile_lco(night, lco):
+    """All that it does before it asks the archive's server."""
+    os.environ.setdefault("FILESTORE_TYPE", "local")
+    from ocs_ingester import ingester
+
+    called = {"Light": "EXPOSE", "Acquisition": "GUIDE", "Bias": "BIAS", "Dark": "DARK", "Flat": "SKYFLAT", "Test": "EXPERIMENTAL"}
+    types, outlines = Counter(), 0
+    for copy in lco:
+        header = fits.getheader(copy)
+        with open(copy, "rb") as opened:
+            record = ingester.validate_fits_and_create_archive_record(opened)
+        assert record["basename"] == copy.stem and record["observation_date"] == header["DATE-OBS"]
+        assert (record["site_id"], record["telescope_id"], record["instrument_id"]) == ("dem", "0m3a", header["INSTRUME"])
+        assert record["proposal_id"] == header["PROGID"] and record["observation_day"] == header["NIGHT"]
+        assert record["target_name"] == header.get("OBJECT", "")
+        types[record["configuration_type"]] += 1
+        if header.get("SOLVED"):
+            corners = SkyCoord(record["area"]["coordinates"][0], unit="deg")
+            wanted = SkyCoord(WCS(header).calc_footprint(), unit="deg")
+            assert all(corners.separation(corner).arcsec.min() < header["PIXSCALE"] for corner in wanted), copy
+            outlines += 1
+    SAID["`ocs-ingester`"] = (version("ocs-ingester"), f"records of {len(lco)} copies by profile `lco`, {outlines} outlines on the sky")
+    assert types == {name: len(night.of(kind)) for kind, name in called.items()}
+    assert outlines > 10
 
 
 def test_solve_field_says_the_parity_of_the_header(night, tmp_path):
@@ -155,6 +240,212 @@ def test_solve_field_says_the_parity_of_the_header(night, tmp_path):
     assert solved, said
     cd = WCS(fits.getheader(solved)).wcs.cd
     assert header["MIRRORED"] == bool(np.linalg.det(cd) > 0)
+
+
+SEX = pathlib.Path("/usr/share/source-extractor")
+HOT_BELOW = 0.3  # half of the light of a hot pixel lies within less than this part of the FWHM of a star
+JUMPED_PX = 0.2  # where the mount was moved during the exposure stars have tails, and each program has a middle of its own
+
+
+def source_extractor(path: pathlib.Path, folder: pathlib.Path) -> tuple[np.ndarray, dict]:
+    """What source-extractor finds with its own default configuration, and what it notes of the frame."""
+    from astropy.io.votable import parse
+
+    columns = ("X_IMAGE", "Y_IMAGE", "XMIN_IMAGE", "XMAX_IMAGE", "YMIN_IMAGE", "YMAX_IMAGE", "ALPHA_J2000", "DELTA_J2000", "FLUX_APER(1)", "FLUXERR_APER(1)", "FLUX_RADIUS",
+               "FLAGS")
+    (folder / "columns").write_text("\n".join(columns))
+    run("source-extractor", path, "-c", SEX / "default.sex", "-FILTER_NAME", SEX / "default.conv", "-STARNNW_NAME", SEX / "default.nnw",
+        "-PARAMETERS_NAME", folder / "columns", "-CATALOG_TYPE", "FITS_LDAC", "-CATALOG_NAME", folder / "found.cat", "-WRITE_XML", "Y",
+        "-XML_NAME", folder / "found.xml", "-VERBOSE_TYPE", "QUIET", "-PIXEL_SCALE", 0)  # 0: by the header's solution
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the table is older than the standard
+        noted = next(table for table in parse(folder / "found.xml").iter_tables() if table.name == "Extension_Data").array[0]
+    return fits.getdata(folder / "found.cat", 2, memmap=False), {name: np.ravel(noted[name])[0] for name in noted.dtype.names}
+
+
+def from_catalogue(series: Series, found: np.ndarray) -> np.ndarray:
+    """Distance, pixels, of each star of the catalogue from the source that is nearest by the coordinates that a program gave it."""
+    sources = SkyCoord(found["ALPHA_J2000"], found["DELTA_J2000"], unit="deg")
+    return series.places.match_to_catalog_sky(sources)[1].arcsec / series.first["PIXSCALE"]
+
+
+def test_source_extractor_takes_gain_saturation_and_coordinates(series, tmp_path):
+    number, counted, medians = debian("source-extractor", "source-extractor"), [], []
+    for path, header in zip(series.paths, series.headers):
+        found, noted = source_extractor(path, tmp_path)
+        assert (noted["Gain"], noted["Satur_Level"]) == (pytest.approx(header["GAIN"]), header["SATURATE"])
+        assert noted["Pixel_Scale"] == pytest.approx(header["PIXSCALE"], rel=1e-4)
+        stars = found[found["FLUX_RADIUS"] > HOT_BELOW * header["FWHM"]]
+        assert len(stars) == pytest.approx(header["NSTARS"], rel=0.1, abs=3), path
+        counted.append(len(stars))
+        # version 2.25 leaves out the terms of SIP, so the linear part is compared
+        ra, dec = WCS(header).wcs_pix2world(stars["X_IMAGE"], stars["Y_IMAGE"], 1)
+        theirs = SkyCoord(stars["ALPHA_J2000"], stars["DELTA_J2000"], unit="deg")
+        assert theirs.separation(SkyCoord(ra, dec, unit="deg")).arcsec.max() < 0.001
+        medians.append(np.median(from_catalogue(series, stars)))
+        # its errors are those of the header's gain: photons of the star, and what the pixels of the sky scatter
+        clean = stars[(stars["FLAGS"] == 0) & (stars["FLUX_APER"] > 0)]
+        error = np.sqrt(clean["FLUX_APER"] / header["GAIN"] + np.pi * 2.5**2 * noted["Background_StDev"] ** 2)
+        assert np.median(clean["FLUXERR_APER"] / error) == pytest.approx(1.0, abs=0.02)
+    SAID["`source-extractor`"] = (number, f"gain, saturation and scale of the header; {min(counted)} to {max(counted)} stars in "
+                                          f"{len(counted)} frames, {np.median(medians):.2f} pix from the catalogue")
+    assert np.median(medians) < 0.05 and max(medians) < JUMPED_PX, medians
+
+
+def test_source_extractor_flags_every_saturated_star(series, tmp_path):
+    """A star of which a pixel is at the end of the file's range."""
+    clipped, missed = 0, 0
+    for path in series.paths:
+        found, _ = source_extractor(path, tmp_path)
+        pixels = fits.getdata(path)
+        for star in found:
+            if pixels[star["YMIN_IMAGE"] - 1:star["YMAX_IMAGE"], star["XMIN_IMAGE"] - 1:star["XMAX_IMAGE"]].max() == 65535:
+                clipped += 1
+                missed += not star["FLAGS"] & 4
+    assert missed == 0, f"{missed} of {clipped}"
+
+
+def test_swarp_adds_the_frames_of_a_target(series, tmp_path):
+    number, first, last = debian("SWarp", "swarp"), series.first, series.headers[-1]
+    (tmp_path / "frames").write_text("".join(f"{path}\n" for path in series.paths))
+    run("SWarp", "@frames", "-COMBINE_TYPE", "WEIGHTED", "-COPY_KEYWORDS", "OBJECT,FILTER", "-VERBOSE_TYPE", "QUIET", "-NTHREADS", "1", cwd=tmp_path)
+    added = fits.getheader(tmp_path / "coadd.fits")
+    # what it makes of all headers; frames with a noisier sky weigh less, also in these two
+    assert added["GAIN"] == pytest.approx(sum(header["GAIN"] for header in series.headers), rel=0.1)
+    assert added["SATURATE"] == pytest.approx(first["SATURATE"], rel=0.1)
+    assert added["EXPTIME"] == pytest.approx(sum(header["EXPTIME"] for header in series.headers))
+    assert (added["MJD-OBS"], added["MJD-END"]) == (pytest.approx(first["MJD-OBS"], abs=1e-7), pytest.approx(last["MJD-END"], abs=1e-7))
+    assert (added["OBJECT"], added["FILTER"], added["RADESYS"]) == (first["OBJECT"], first["FILTER"], "ICRS")
+    x, y = places(added, first["RA"], first["DEC"])
+    assert max(abs(x - added["NAXIS1"] / 2), abs(y - added["NAXIS2"] / 2)) * first["PIXSCALE"] < 120, "the target is in the middle"
+    _, of_one = source_extractor(series.paths[0], tmp_path)
+    found, of_all = source_extractor(tmp_path / "coadd.fits", tmp_path)
+    off = from_catalogue(series, found)
+    assert np.median(off) < 0.05 and off.max() < JUMPED_PX, "frames lie on each other, and where the sky is"
+    assert of_all["Background_StDev"] < 1.5 * of_one["Background_StDev"] / np.sqrt(len(series.paths)), "noise falls with the number of frames"
+    SAID["`swarp`"] = (number, f"{len(series.paths)} frames of one target, {added['EXPTIME']:.0f} s, {np.median(off):.2f} pix from the catalogue")
+
+
+SIRIL = """requires 1.0.0
+cd bias
+convert bias -out=../process
+cd ../process
+stack bias rej 3 3 -nonorm -out=../master_bias
+cd ../dark
+convert dark -out=../process
+cd ../process
+stack dark rej 3 3 -nonorm -out=../master_dark
+cd ../flat
+convert flat -out=../process
+cd ../process
+preprocess flat -bias=../master_bias
+stack pp_flat rej 3 3 -norm=mul -out=../master_flat
+cd ../light
+convert light -out=../process
+cd ../process
+preprocess light -dark=../master_dark -flat=../master_flat -cc=dark
+register pp_light
+stack r_pp_light rej 3 3 -norm=addscale -out=../result
+"""
+
+
+def test_siril_calibrates_registers_and_stacks(night, series, tmp_path):
+    """The steps of its own script for monochrome cameras, on a calibrated night."""
+    number, first, last = debian("siril-cli", "siril"), series.first, series.headers[-1]
+    like = {"Bias": ("NAXIS1", "NAXIS2"), "Dark": ("NAXIS1", "NAXIS2", "EXPTIME"), "Flat": ("NAXIS1", "NAXIS2", "FILTER")}
+    frames = {kind: [path for path in night.of(kind) if all(night.headers[path][keyword] == first[keyword] for keyword in keywords)]
+              for kind, keywords in like.items()} | {"Light": series.paths}
+    for kind, paths in frames.items():
+        folder = tmp_path / kind.lower()
+        folder.mkdir()
+        for path in paths:
+            (folder / path.name).symlink_to(path)
+    (tmp_path / "steps.ssf").write_text(SIRIL)
+    said = run("siril-cli", "-d", tmp_path, "-s", tmp_path / "steps.ssf", env=os.environ | {"HOME": str(tmp_path)})
+    converted = re.findall(r"Conversion succeeded, .* (\d+) input file\(s\) \((\d+) image\(s\) converted, 0 failed\)", said)
+    assert converted == [(str(len(paths)),) * 2 for paths in frames.values()], said
+    stack = fits.getheader(tmp_path / "result.fit")
+    assert stack["STACKCNT"] == len(series.paths) and stack["LIVETIME"] == sum(header["EXPTIME"] for header in series.headers)
+    for keyword in ("FOCALLEN", "XPIXSZ", "YPIXSZ", "XBINNING", "ROWORDER", "INSTRUME", "TELESCOP", "OBSERVER", "OBJECT", "FILTER", "EXPTIME"):
+        assert stack[keyword] == first[keyword], keyword
+    assert stack["CVF"] == pytest.approx(first["EGAIN"]) and stack["CCD-TEMP"] == pytest.approx(first["CCD-TEMP"], abs=0.1)
+    assert (stack["EXPSTART"], stack["EXPEND"]) == (pytest.approx(first["JD-OBS"], abs=1e-6), pytest.approx(last["JD-END"], abs=1e-6))
+    found, _ = source_extractor(tmp_path / "result.fit", tmp_path)
+    # by pixels: version 1.0.6 lays all frames on the first one, and gives the stack the coordinates of the last one
+    x, y = places(first, series.places.ra.deg, series.places.dec.deg)
+    off = np.hypot(x[:, None] + 1 - found["X_IMAGE"], y[:, None] + 1 - found["Y_IMAGE"]).min(axis=1)
+    assert np.median(off) < JUMPED_PX, "the first frame has its stars where its solution says, and the others lie on it"
+    assert (found["FLUX_RADIUS"] < HOT_BELOW * first["FWHM"]).sum() < 0.1 * len(found), "darks take the hot pixels away"
+    SAID["`siril`"] = (number, f"{len(series.paths)} light frames calibrated by {len(frames['Bias'])} bias frames, {len(frames['Dark'])} darks and "
+                               f"{len(frames['Flat'])} flats, registered and stacked; focal length, pixels and row order are known")
+
+
+def test_photutils_measures_stars_with_the_errors_of_the_header(night, series):
+    from photutils.aperture import ApertureStats, SkyCircularAnnulus, SkyCircularAperture
+    from photutils.utils import calc_total_error
+
+    bias = np.median([fits.getdata(path) for path in night.of("Bias") if night.headers[path]["NAXIS1"] == series.first["NAXIS1"]], axis=0)
+    fluxes, errors = [], []
+    for path, header in zip(series.paths, series.headers):
+        px, wcs, pixels = header["PIXSCALE"] * u.arcsec, WCS(header), fits.getdata(path) - bias
+        ring = SkyCircularAnnulus(series.places, 5 * header["FWHM"] * px, 8 * header["FWHM"] * px)
+        sky = ApertureStats(pixels, ring.to_pixel(wcs)).median
+        of_sky = np.sqrt(np.median(sky) / header["GAIN"] + (header["RDNOISE"] / header["GAIN"]) ** 2)
+        error = calc_total_error(pixels - np.median(sky), np.full(pixels.shape, of_sky), header["GAIN"])
+        star = ApertureStats(pixels, SkyCircularAperture(series.places, 2 * header["FWHM"] * px).to_pixel(wcs), error=error, local_bkg=sky)
+        fluxes.append(star.sum / header["EXPTIME"])
+        errors.append(star.sum_err / header["EXPTIME"])
+    flux, error = np.array(fluxes), np.array(errors)
+    # a star against the mean of all takes clouds and air away; what is left is noise, and the errors say how much of it
+    curves = flux / flux.mean(axis=0)
+    curves /= curves.mean(axis=1, keepdims=True)
+    ratio = np.median(curves.std(axis=0, ddof=1) / np.median(error / flux, axis=0))
+    zero_points = np.array([[header["MAGZPT"]] for header in series.headers])
+    off = np.median(series.mag + 2.5 * np.log10(flux) - zero_points)
+    SAID["`photutils`"] = (version("photutils"), f"{len(series.mag)} stars in {len(flux)} frames scatter by {ratio:.2f} of the errors that GAIN and "
+                                                 f"RDNOISE give; by MAGZPT they are {abs(off):.2f} mag from the catalogue")
+    assert 0.7 < ratio < 1.4
+    assert abs(off) < 0.1
+
+
+def test_astroalign_finds_how_two_frames_lie(night, series):
+    import astroalign
+
+    pointed = [path for path in night.of("Acquisition") if night.headers[path]["OBJECT"] == series.first["OBJECT"]]
+    one = next(path for path in pointed if night.headers[path].get("SOLVED"))
+    transform, (there, _) = astroalign.find_transform(fits.getdata(one).astype(float), fits.getdata(series.paths[-1]).astype(float))
+    ra, dec = WCS(night.headers[one]).all_pix2world(*there.T, 0)
+    off = np.hypot(*(transform(there).T - places(series.headers[-1], ra, dec)))
+    apart = np.hypot(*transform.translation)
+    SAID["`astroalign`"] = (version("astroalign"), f"two frames {apart:.0f} pix apart, by {len(there)} stars: as their plate solutions say, to "
+                                                   f"{np.median(off):.2f} pix")
+    assert len(there) >= 10 and np.median(off) < JUMPED_PX
+
+
+def test_prose_makes_a_light_curve_with_no_definition_of_the_telescope(night, series, tmp_path):
+    python = pathlib.Path(os.environ.get("STARMESH_PROSE", PROJECT / "target/venv-prose/bin/python"))
+    assert python.exists(), f"{python} is missing: scripts/setup proof makes it, with Python 3.9 to 3.11"
+    star = series.mag.argmin()
+    said = run(python, "-B", "-W", "ignore", PROJECT / "tests/foreign/prose_curve.py", night.folder / "images",
+               series.places[star].ra.deg, series.places[star].dec.deg, series.first["OBJECT"], env=os.environ | {"HOME": str(tmp_path)})
+    made = json.loads(said.splitlines()[-1])
+    lights = [path for path in night.of("Light") if night.headers[path]["OBJECT"] == series.first["OBJECT"]]
+    headers, files = [night.headers[path] for path in lights], made["files"]
+    assert files["images"] == [path.name for path in lights], "acquisition frames are not among them"
+    for kind, name in (("Bias", "bias"), ("Dark", "darks"), ("Flat", "flats")):
+        keywords = ("NAXIS1", "NAXIS2", *(["FILTER"] if kind == "Flat" else []))
+        wanted = [path.name for path in night.of(kind) if all(night.headers[path][keyword] == series.first[keyword] for keyword in keywords)]
+        assert sorted(files[name]) == wanted, kind
+    assert made["telescope"] == series.first["TELESCOP"] and made["off_px"] < 0.3, "the star is where the header says"
+    assert made["sources"] == pytest.approx(headers[0]["NSTARS"], rel=0.15), "darks take the hot pixels away"
+    # its own time is the start of the exposure; what its documents do with AIRMASS gives the middle from BJD_TDB
+    assert made["jd"] == pytest.approx([header["JD-OBS"] for header in headers], abs=1e-6)
+    assert made["bjd"] == [header["BJD_TDB"] for header in headers]
+    noise = np.std([flux for _, flux in made["points"]], ddof=1)
+    photons = 10 ** (0.4 * (series.first["MAGZPT"] - series.mag[star])) * series.first["EXPTIME"] * series.first["GAIN"]
+    SAID["`prose`"] = (made["version"], f"a light curve of {len(headers)} frames by their {len(files['bias'])} bias frames, {len(files['darks'])} "
+                                        f"darks and {len(files['flats'])} flats: {1086 * noise:.1f} mmag, photons alone {1086 * photons ** -0.5:.1f}")
+    assert len(made["points"]) == len(headers) and noise < 2 * photons ** -0.5
 
 
 def examples() -> list[str]:
