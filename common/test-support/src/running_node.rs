@@ -22,12 +22,18 @@ impl RunningNode {
         Self { node, task }
     }
 
-    /// Runs the work of a node alone.
+    /// Runs the work of a node alone. Its alerts begin and end in time.
     pub fn work<F>(node: Node, run: impl FnOnce(Node) -> F) -> Self
     where
         F: Future<Output = anyhow::Result<()>> + Send + 'static,
     {
-        let task = tokio::spawn(run(node.clone()));
+        let (work, alerts) = (run(node.clone()), node.alerts.clone());
+        let task = tokio::spawn(async move {
+            tokio::select! {
+                ended = work => ended,
+                () = alerts.keep_time() => Ok(()),
+            }
+        });
         Self { node, task }
     }
 

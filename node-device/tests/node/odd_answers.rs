@@ -193,7 +193,8 @@ async fn a_camera_without_cooleron_takes_its_set_point_and_reads_the_blocks_that
 async fn a_slew_is_done_and_the_mount_named_though_ispulseguiding_stays_true() {
     let mount = crate::rates::a_mount(true).await;
     mount.answer("ispulseguiding", FakeAnswer::Value(json!(true)));
-    let stage = Stage::start(&block("telescope", "mount", &mount, "period_s = 0.2\nsettle_s = 0.0")).await;
+    let more = "period_s = 0.2\nsettle_s = 0.0\nlimits = { altitude_min_deg = -90.0 }";
+    let stage = Stage::start(&block("telescope", "mount", &mount, more)).await;
     let token = crate::rates::ready(&stage).await;
     let slew = command("slew", token, telescope::Command::Slew { ra_deg: 45.0, dec_deg: -20.0 });
     accepted(&stage.command(Kind::Telescope, "mount", &slew).await);
@@ -204,6 +205,25 @@ async fn a_slew_is_done_and_the_mount_named_though_ispulseguiding_stays_true() {
     assert!(state.busy, "the bus shows what the mount says");
     let cause = alert(&stage, "device-contradicts/telescope/mount").await;
     assert!(cause.contains("IsPulseGuiding stays true"), "{cause}");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_mount_whose_server_hangs_is_named_until_it_answers_again() {
+    let mount = crate::rates::a_mount(true).await;
+    let more = "period_s = 0.2\nlimits = { altitude_min_deg = -90.0 }";
+    let stage = Stage::start(&block("telescope", "mount", &mount, more)).await;
+    stage.until::<telescope::Telescope>("mount", |state| state.link == Link::Connected).await;
+    mount.hang(true);
+    let cause = alert(&stage, "device-lost/telescope/mount").await;
+    assert!(cause.starts_with("telescope/mount at 127.0.0.1:"), "{cause}");
+    mount.hang(false);
+    let mut alerts = stage.node().alerts.watch();
+    let is_gone = |alert: &contract::observatory::Alert| {
+        alert.id != "device-lost/telescope/mount" || alert.returned_utc.is_some()
+    };
+    let gone = alerts.wait_for(|alerts| alerts.alerts.iter().all(is_gone));
+    tokio::time::timeout(LIMIT, gone).await.unwrap().unwrap();
     stage.end().await;
 }
 

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use test_support::DomeNode;
 use units::Utc;
 
-use crate::stage::{Stage, address};
+use crate::stage::{Kept, Stage, address};
 
 fn now() -> Utc {
     "2026-11-21T03:12:45.250Z".parse().unwrap()
@@ -51,10 +51,12 @@ fn safety(verdict: Verdict) -> SafetyState {
     }
 }
 
-async fn observatory(stage: &Stage, telescope: &str, verdict: Verdict, posture: Posture) {
+/// An observatory node that goes on publishing until it is dropped.
+async fn observatory(stage: &Stage, telescope: &str, verdict: Verdict, posture: Posture) -> [Kept; 2] {
     let key = |part| Key::Observatory(address(telescope), part);
-    stage.publish(key(Part::Night), night(true, posture)).await;
-    stage.publish(key(Part::Safety), safety(verdict)).await;
+    let night = serde_json::to_value(night(true, posture)).unwrap();
+    let safety = serde_json::to_value(safety(verdict)).unwrap();
+    [stage.keep_publishing(key(Part::Night), night).await, stage.keep_publishing(key(Part::Safety), safety).await]
 }
 
 const OLD_KEYS: [&str; 11] = [
@@ -90,7 +92,7 @@ async fn one_telescope_answers_with_every_old_key() {
     };
     let device = address("callisto").shared().device(Kind::SafetyMonitor, &"monitor".parse().unwrap());
     stage.publish(Key::State(device), monitor).await;
-    observatory(&stage, "callisto", Verdict::Safe, Posture::Open).await;
+    let _callisto = observatory(&stage, "callisto", Verdict::Safe, Posture::Open).await;
     let answer = stage
         .until("/api/heartbeat", |answer| {
             answer["data"]["weather_safe"] == true && answer["data"]["polling"]["SafetyMonitor"].is_object()
@@ -123,8 +125,8 @@ async fn one_telescope_answers_with_every_old_key() {
 #[tokio::test(flavor = "multi_thread")]
 async fn several_telescopes_roll_up_and_each_can_be_asked_alone() {
     let stage = Stage::start().await;
-    observatory(&stage, "callisto", Verdict::Safe, Posture::Open).await;
-    observatory(&stage, "io", Verdict::Unsafe, Posture::Closed).await;
+    let _callisto = observatory(&stage, "callisto", Verdict::Safe, Posture::Open).await;
+    let _io = observatory(&stage, "io", Verdict::Unsafe, Posture::Closed).await;
     let alerts = |priority| Alerts {
         alerts: vec![Alert { priority, ..AlertKind::DomeNotClosed.alert("dome_1", now(), "the dome does not close") }],
         ..Alerts::default()
@@ -169,13 +171,14 @@ async fn a_silent_observatory_is_an_error_and_never_safe() {
     let stage = Stage::start().await;
     let (_, never) = stage.get("/api/heartbeat").await;
     assert_eq!((&never["data"]["error_free"], &never["data"]["stale"]), (&json!(false), &json!(true)));
-    observatory(&stage, "callisto", Verdict::Safe, Posture::Open).await;
+    let publishing = observatory(&stage, "callisto", Verdict::Safe, Posture::Open).await;
     stage.until("/api/heartbeat", |answer| answer["data"]["error_free"] == true).await;
+    drop(publishing);
     let silent = stage.until("/api/heartbeat", |answer| answer["data"]["stale"] == true).await["data"].take();
     assert_eq!((&silent["error_free"], &silent["weather_safe"]), (&json!(false), &Value::Null));
     assert_eq!((&silent["watchdog_running"], &silent["schedule_running"]), (&json!(false), &json!(false)));
     let age_s = silent["age_s"].as_f64().unwrap();
-    assert!((5.0..20.0).contains(&age_s), "{age_s}");
+    assert!(age_s >= 5.0, "{age_s}");
     assert!(silent["error_source"][0]["error"].as_str().unwrap().starts_with("stale"), "{silent}");
     stage.end().await;
 }
