@@ -128,6 +128,9 @@ impl Looked {
     }
 }
 
+/// A mount that says that it is parked, and whose coordinates do not tell, is believed after so long.
+const SHOWS_PARKED: Duration = Duration::from_secs(20);
+
 /// Watches one mount; pure.
 #[derive(Debug)]
 pub struct LimitWatch {
@@ -152,6 +155,10 @@ pub struct LimitWatch {
     went: Option<MachineTime>,
     /// It tracks beyond a limit.
     beyond_since: Option<MachineTime>,
+    /// Since when it says that it is parked.
+    parked: Option<MachineTime>,
+    /// Its coordinates follow the sky although it says that it is parked.
+    parked_lies: bool,
     stopping: Option<Stopping>,
 }
 
@@ -171,6 +178,8 @@ impl LimitWatch {
             has_arrived: false,
             went: None,
             beyond_since: None,
+            parked: None,
+            parked_lies: false,
             stopping: None,
         }
     }
@@ -178,10 +187,14 @@ impl LimitWatch {
     /// What the mount must do now.
     pub fn look(&mut self, now: MachineTime, sight: &MountSight, sky: &Observer, can_park: bool) -> Looked {
         let ordered = sight.ordered.map_or(MachineTime::from_boot(Duration::ZERO), |(_, at)| at);
-        if let Some((true, _)) = asked_since(sight.at_park, ordered) {
-            self.moved(false);
-            self.stopping = None;
-            return Looked::nothing(Alarm::Leave);
+        match asked_since(sight.at_park, ordered) {
+            Some((true, asked)) => {
+                if let Some(looked) = self.rests_in_park(now, asked.machine, sight) {
+                    return looked;
+                }
+            }
+            Some((false, _)) => (self.parked, self.parked_lies) = (None, false),
+            None => {}
         }
         if let Some((true, asked)) = asked_since(sight.slewing, ordered)
             && !self.is_still(sight, asked)
@@ -230,6 +243,42 @@ impl LimitWatch {
         }
         self.stopping = Some(Stopping::begin(why));
         self.go_on(now, says, can_park)
+    }
+
+    /// It says that it is parked: what follows, unless its coordinates show that it goes on with the sky. A mount that was
+    /// being stopped has a moment to show by them that it stands.
+    fn rests_in_park(&mut self, now: MachineTime, asked: MachineTime, sight: &MountSight) -> Option<Looked> {
+        if self.parked.is_none() {
+            self.moved(false);
+        }
+        let since = *self.parked.get_or_insert(asked);
+        self.coordinates.note(sight, since);
+        let dec = pair(sight.ra_deg, sight.dec_deg, since).map(|([_, dec], _)| dec);
+        let turns = dec.and_then(|dec| self.coordinates.turns_with_the_sky(dec));
+        let motion = self.coordinates.motion();
+        let is_shown = match (motion, turns) {
+            (Motion::Follows, Some(turns)) => {
+                self.parked_lies = turns;
+                true
+            }
+            (Motion::Stands | Motion::Moves, _) => {
+                self.parked_lies = false;
+                true
+            }
+            _ => false,
+        };
+        if self.parked_lies {
+            return None;
+        }
+        match &self.stopping {
+            Some(stopping) if !is_shown && now.since(since) < SHOWS_PARKED => {
+                Some(Looked { commands: Vec::new(), beyond: Some(stopping.published()), alarm: Alarm::Leave })
+            }
+            _ => {
+                self.stopping = None;
+                Some(Looked::nothing(Alarm::Leave))
+            }
+        }
     }
 
     /// The mount was moved, by a slew or with its park: what was read before shows nothing of now.

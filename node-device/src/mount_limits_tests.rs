@@ -173,7 +173,7 @@ impl Fake {
     }
 
     fn second(&mut self) {
-        if !self.tracks && !self.parked {
+        if !self.tracks {
             self.ra_deg += TURN_DEG_PER_S;
         }
     }
@@ -289,6 +289,19 @@ fn a_mount_that_nothing_stops_is_published_as_not_stopped_and_ordered_for_ever()
     assert!(!early.beyond.expect("being stopped").not_stopped);
     let (_, later) = watched(&mut deaf.clone(), 0..first + 60, &mut watch(), |_, _| {});
     assert!(later.beyond.expect("being stopped").not_stopped);
+}
+
+#[test]
+fn a_mount_that_says_that_it_is_parked_and_follows_the_sky_is_not_believed() {
+    let base = Fake { obeys_off: false, obeys_abort: false, obeys_park: false, ..Fake::coming_to_the_limit() };
+    let mut fake = Fake { says_tracking: Some(false), ..base };
+    let each = |fake: &mut Fake, _: u32| {
+        fake.parked |= fake.ordered.is_some_and(|(ordered, _)| ordered == Ordered::Go);
+    };
+    let (orders, last) = watched(&mut fake, 0..600, &mut watch(), each);
+    assert_eq!(words(&orders)[..4], ["off", "abort", "off", "park"], "{orders:?}");
+    assert!(orders.len() >= 8, "it is ordered on: {orders:?}");
+    assert!(last.beyond.expect("published").not_stopped, "everything is to be closed");
 }
 
 #[test]

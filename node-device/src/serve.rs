@@ -21,6 +21,7 @@ use bus::{MachineTime, Publisher};
 use config::Common;
 use contract::audit::AuditOutcome as Ended;
 use contract::device::DeviceDescription;
+use contract::observatory::AlertKind;
 use contract::{Device, DeviceKind as _, DeviceState, Key, LastCommand, Link, NoData};
 use node::Node;
 use tokio::sync::mpsc;
@@ -328,6 +329,7 @@ impl<D: Driver> Loop<D> {
         self.parts.clear();
         self.device_state = greeting.device_state;
         self.link = Link::Connected;
+        self.serve.node.alerts.clear(AlertKind::DeviceLost, self.instance());
         self.status().can = Some(greeting.description.can.clone());
         self.description = Some(greeting.description);
         self.reading_again = ReadingAgain::of(greeting.abilities);
@@ -385,6 +387,11 @@ impl<D: Driver> Loop<D> {
         since.is_some_and(|since| now.duration_since(since) < BUSY_LIMIT)
     }
 
+    /// As alerts name the device.
+    fn instance(&self) -> String {
+        format!("{}/{}", D::Kind::KIND, self.serve.device.name)
+    }
+
     /// The device is gone: everything is missing, for this reason, until it is back.
     fn lose(&mut self, error: &AlpacaError) {
         let reason: NoData = lost_reason(error);
@@ -392,6 +399,9 @@ impl<D: Driver> Loop<D> {
             tracing::warn!(device = %self.serve.device, %error, "device lost; trying again");
         }
         self.link = Link::Lost { reason: reason.clone() };
+        let instance = self.instance();
+        let cause = format!("{instance} at {} does not answer: {reason}", self.serve.common.server);
+        self.serve.node.alerts.raise(AlertKind::DeviceLost, &instance, &cause);
         // Also what was never read is missing for this reason.
         let clock = self.serve.node.bus.clock().clone();
         for property in self.wanted() {

@@ -237,14 +237,16 @@ fn a_move_is_done_when_the_device_is_seen_to_rest_where_it_was_sent() {
 
 #[test]
 fn a_mount_has_arrived_when_it_rests_near_its_target_on_the_sky() {
-    use Progress::{Done, Running, Settling};
+    use Progress::{Done, Running, Settling, Stranded};
+    let stranded =
+        |deg: &str| Stranded(format!("it rests {deg} deg from where it was sent (arrival_tolerance_deg = 0.5)"));
     let at = |hours: f64, dec_deg: f64, slewing: Value| json!({"RightAscension": hours, "Declination": dec_deg, "Slewing": slewing});
     let slew = |ra_deg: f64, dec_deg: f64| json!({"slew": {"ra_deg": ra_deg, "dec_deg": dec_deg}});
     let still = json!(false);
     let rows = [
         (at(23.98, 0.3, still.clone()), Settling(3.0)),
-        (at(0.0, 0.6, still.clone()), Running),
-        (at(0.1, 0.0, still.clone()), Running),
+        (at(0.0, 0.6, still.clone()), stranded("0.60")),
+        (at(0.1, 0.0, still.clone()), stranded("1.50")),
         (at(0.0, 0.0, json!(true)), Running),
         (at(0.0, 0.0, json!("NaN")), Running),
         (json!({"Slewing": false, "Declination": 0.0}), Running),

@@ -105,7 +105,7 @@ impl Stopping {
         let done = match self.step {
             Step::Off => "its tracking is switched off",
             Step::Abort => "it goes on tracking: all its movement is aborted",
-            Step::Park => "neither stopped it: it is parked",
+            Step::Park => "neither stopped it: it is sent to its park position",
             Step::NotStopped => "no order stops it: everything is closed, and nothing is exposed; stop it by hand",
         };
         format!("{}; {done}", self.why)

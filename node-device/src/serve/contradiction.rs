@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
+use contract::Link;
 use contract::observatory::AlertKind;
-use contract::{DeviceKind as _, Link};
 use tokio::time::Instant;
 
 use super::Loop;
@@ -34,7 +34,7 @@ impl<D: Driver> Loop<D> {
         let seen = seen.and_then(|fields| driver.contradiction(command, &fields));
         let limit = machine_limit(self.serve.node.bus.clock(), FOR_A_WHILE);
         let stands = self.contradiction.stands(seen.is_some(), Instant::now(), limit);
-        let instance = format!("{}/{}", D::Kind::KIND, self.serve.device.name);
+        let instance = self.instance();
         let alerts = &self.serve.node.alerts;
         match seen {
             Some(seen) if stands => {

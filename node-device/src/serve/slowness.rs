@@ -17,8 +17,8 @@ impl<D: Driver> Loop<D> {
         if !matches!(D::Kind::KIND, Kind::SafetyMonitor | Kind::ObservingConditions | Kind::Switch) {
             return;
         }
-        let (alerts, kind) = (&self.serve.node.alerts, D::Kind::KIND);
-        let instance = format!("{kind}/{}", self.serve.device.name);
+        let alerts = &self.serve.node.alerts;
+        let instance = self.instance();
         if is_slow(took, self.period()) {
             let cause = format!("{instance} needed {:.1} s to answer for all its values", took.as_secs_f64());
             alerts.raise(AlertKind::SlowDevice, &instance, &cause);

@@ -95,7 +95,7 @@ impl<D: Driver> Loop<D> {
 
     /// Raises the alert that names what is unread, or clears it.
     pub(super) fn note_unread(&mut self) {
-        let instance = format!("{}/{}", D::Kind::KIND, self.serve.device.name);
+        let instance = self.instance();
         let mut unread: Vec<(String, NoData)> = Vec::new();
         if self.link == Link::Connected {
             unread.extend(self.description.iter().flat_map(|description| description.unread.clone()));

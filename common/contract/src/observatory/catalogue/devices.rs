@@ -21,6 +21,16 @@ pub(super) const ROW_FAILED: AlertEntry = AlertEntry {
     ..PLAIN
 };
 
+pub(super) const DEVICE_LOST: AlertEntry = AlertEntry {
+    word: "device-lost",
+    instance: "KIND/DEVICE",
+    consequence: "What needs it waits; what closes the dome does not.",
+    action: "Look at the device, its cable, and the Alpaca server that the cause names. It is asked again by itself, and the night goes on when it answers.",
+    on_delay_s: 20,
+    hold_s: 10,
+    ..HIGH
+};
+
 pub(super) const DEVICE_UNREAD: AlertEntry = AlertEntry {
     word: "device-unread",
     instance: "KIND/DEVICE",
