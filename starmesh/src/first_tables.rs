@@ -21,4 +21,8 @@ send_when_observatory_silent_s = 20.0   # then the archive node sends in the pla
 # [[alerts.webhook]]
 # name = \"chat\"
 # url = \"https://chat.example.org/hooks/abc\"  # gets a POST of JSON, whose field text is for people
+# [[alerts.webhook]]
+# name = \"phone\"
+# format = \"ntfy\"
+# url = \"https://ntfy.sh/callisto-4f8a\"        # the topic that the app ntfy follows; choose one that nobody guesses
 ";

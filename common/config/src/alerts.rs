@@ -18,6 +18,8 @@ pub struct Alerting {
     pub email: Vec<Email>,
     /// URL that is asked while all is well, so that silence is noticed there.
     pub ping: Option<Ping>,
+    /// Address of the pages, such as `https://telescopes.example.org`; messages then lead to the telescope's page.
+    pub page: Option<String>,
     /// PEM file with certificates of the site's own authorities, trusted in addition to those of the host.
     pub ca_file: Option<PathBuf>,
     /// A receiver gets at most so many messages, critical and other ones counted apart ...
@@ -26,7 +28,7 @@ pub struct Alerting {
     pub flood_minutes: f64,
     /// Another node sends when no observatory node has published for so long, machine s; nobody does where it is 0.
     pub send_when_observatory_silent_s: f64,
-    /// Which role sends then: `archive` or `web`.
+    /// Which role sends then, `archive` or `web`; the other one where it is silent too.
     pub stand_in: Role,
 }
 
@@ -37,6 +39,7 @@ impl Default for Alerting {
             smtp: None,
             email: Vec::new(),
             ping: None,
+            page: None,
             ca_file: None,
             flood_messages: 10,
             flood_minutes: 10.0,
@@ -54,6 +57,9 @@ pub struct Webhook {
     pub name: String,
     /// `http://` or `https://`.
     pub url: String,
+    /// What it is sent.
+    #[serde(default)]
+    pub format: Format,
     /// File that holds a bearer token.
     pub token_file: Option<PathBuf>,
     /// Environment variable that holds a bearer token.
@@ -65,6 +71,27 @@ pub struct Webhook {
     /// those that an alert is escalated to.
     #[serde(default)]
     pub after_min: f64,
+}
+
+/// What a webhook is sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Format {
+    /// The alerts as JSON, with a text that chat services show.
+    #[default]
+    Json,
+    /// A message of [ntfy](https://docs.ntfy.sh/publish/#publish-as-json), which telephones show; the URL ends with the topic.
+    Ntfy,
+}
+
+impl Webhook {
+    /// The server and the topic of a URL such as `https://ntfy.sh/callisto-4f8a`, for ntfy.
+    pub fn topic(&self) -> Option<(&str, &str)> {
+        let (server, topic) = self.url.trim_end_matches('/').rsplit_once('/')?;
+        let is_topic = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        let is_whole = server.contains("://") && !server.ends_with('/') && topic.chars().all(is_topic);
+        (is_whole && (1..=64).contains(&topic.len())).then_some((server, topic))
+    }
 }
 
 /// `[alerts.smtp]`.
@@ -143,11 +170,17 @@ impl Alerting {
         let mut found = Vec::new();
         let mut add = |quoted: &str, message: String| found.push((quoted.to_owned(), message));
         let urls = self.webhook.iter().map(|hook| ("alerts.webhook.url", &hook.url));
-        for (key, url) in urls.chain(self.ping.iter().map(|ping| ("alerts.ping.url", &ping.url))) {
+        let urls = urls.chain(self.ping.iter().map(|ping| ("alerts.ping.url", &ping.url)));
+        for (key, url) in urls.chain(self.page.iter().map(|page| ("alerts.page", page))) {
             let host = url.strip_prefix("https://").or_else(|| url.strip_prefix("http://"));
             if host.is_none_or(|host| host.is_empty() || host.contains(char::is_whitespace)) {
                 add(url, format!("{key}: expected http://... or https://..."));
             }
+        }
+        for hook in self.webhook.iter().filter(|hook| hook.format == Format::Ntfy && hook.topic().is_none()) {
+            let expected =
+                "expected a server and a topic of letters, digits, - and _, such as https://ntfy.sh/callisto-4f8a";
+            add(&hook.url, format!("alerts.webhook.url of \"{}\", format = \"ntfy\": {expected}", hook.name));
         }
         let names = self.webhook.iter().map(|hook| &hook.name).chain(self.email.iter().map(|email| &email.name));
         let mut seen = std::collections::BTreeSet::new();
@@ -257,7 +290,7 @@ mod tests {
         let (_, rest) = page.split_once("```toml\n").unwrap();
         let (example, _) = rest.split_once("```").unwrap();
         let alerts = crate::parse(&format!("{PLACE}{example}"), Path::new("/")).unwrap().alerts;
-        assert_eq!((alerts.webhook.len(), alerts.email.len(), alerts.flood_messages), (1, 2, 10));
+        assert_eq!((alerts.webhook.len(), alerts.email.len(), alerts.flood_messages), (2, 2, 10));
     }
 
     #[test]
@@ -265,6 +298,13 @@ mod tests {
         let hook = |rest: &str| faults(&format!("[[alerts.webhook]]\nname = \"chat\"\n{rest}\n"));
         let cases = [
             (hook("url = \"chat.example.org\""), "line 9: alerts.webhook.url: expected http://"),
+            (
+                hook("url = \"https://ntfy.sh/\"\nformat = \"ntfy\""),
+                "line 9: alerts.webhook.url of \"chat\", format = \"ntfy\": expected a server and a topic",
+            ),
+            (hook("url = \"https://ntfy.sh/a b\"\nformat = \"ntfy\""), "a server and a topic"),
+            (hook("url = \"http://x/y\"\nformat = \"xml\""), "ntfy"),
+            (faults("[alerts]\npage = \"telescopes\"\n"), "alerts.page: expected http://"),
             (hook("url = \"http://x\"\nafter_min = -1"), "line 8: alerts \"chat\": after_min = -1"),
             (hook("url = \"http://x\"\ntoken = \"secret\""), "there is no key \"token\" in [[alerts.webhook]]"),
             (

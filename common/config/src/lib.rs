@@ -51,7 +51,7 @@ mod visibility;
 mod web;
 mod words;
 
-pub use alerts::{Alerting, Email, Ping, Security, Smtp, Webhook};
+pub use alerts::{Alerting, Email, Format, Ping, Security, Smtp, Webhook};
 pub use bucket::Bucket;
 pub use check::{MOST_BYTES, examine, locate, parse};
 pub use contract::device::dome::CloseWithMount;

@@ -2,13 +2,15 @@
 
 use std::fmt::Write as _;
 
-use contract::observatory::{Alert, AlertEvent};
+use contract::observatory::{Alert, AlertEvent, Priority};
 use contract::{Address, printable};
 use serde_json::{Value, json};
 
 /// Chat services and mail servers refuse messages that are too long.
 const MOST_IN_FULL: usize = 20;
 const MOST_CHARS: usize = 1000;
+/// ntfy makes a file of a message of more bytes than 4,096.
+const MOST_BYTES_NTFY: usize = 3500;
 
 /// One event of one alert.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,7 +42,8 @@ impl Letter {
     }
 
     /// The whole text: the most urgent alerts in full, and the rest by their ids.
-    pub fn text(&self, address: &Address) -> String {
+    /// `page` is the address of the pages.
+    pub fn text(&self, address: &Address, page: Option<&str>) -> String {
         let mut text = String::new();
         for News { event, alert } in self.news.iter().take(MOST_IN_FULL) {
             let Alert { id, cause, consequence, action, raised_utc, .. } = alert;
@@ -63,22 +66,60 @@ impl Letter {
         for News { event, alert } in self.news.iter().skip(MOST_IN_FULL) {
             let _ = writeln!(text, "{} {}: {}", alert.priority.word(), event.word(), printable(&alert.id));
         }
+        if let Some(page) = page {
+            let _ = writeln!(text, "{}", link(page, address));
+        }
         text.truncate(text.trim_end().len());
         text
     }
 
+    /// The content for a topic of ntfy: as urgent as its most urgent alert, and a touch on it opens the telescope's page.
+    pub fn ntfy(&self, address: &Address, topic: &str, page: Option<&str>) -> Value {
+        let most_urgent = self.news.iter().map(|news| news.alert.priority).min();
+        let priority = match most_urgent.unwrap_or(Priority::Advisory) {
+            Priority::Critical => 5,
+            Priority::High => 4,
+            Priority::Medium => 3,
+            Priority::Advisory => 2,
+        };
+        let is_bad = self.news.iter().any(|news| news.event == AlertEvent::Raised);
+        let text = self.text(address, None);
+        let mut end = text.len().min(MOST_BYTES_NTFY);
+        while !text.is_char_boundary(end) {
+            end -= 1;
+        }
+        let cut = if end < text.len() { " ..." } else { "" };
+        let mut message = json!({
+            "topic": topic,
+            "title": self.subject(address),
+            "message": format!("{}{cut}", &text[..end]),
+            // What is over disturbs nobody's sleep.
+            "priority": if is_bad { priority } else { priority.min(3) },
+            "tags": [if is_bad { "telescope" } else { "white_check_mark" }],
+        });
+        if let Some(page) = page {
+            message["click"] = json!(link(page, address));
+        }
+        message
+    }
+
     /// The content for a webhook.
-    pub fn json(&self, address: &Address) -> Value {
+    pub fn json(&self, address: &Address, page: Option<&str>) -> Value {
         let news: Vec<Value> =
             self.news.iter().map(|news| json!({"event": news.event.word(), "alert": news.alert})).collect();
         json!({
             "site": address.site,
             "telescope": address.telescope,
             // The field that chat services show.
-            "text": format!("{}\n{}", self.subject(address), self.text(address)),
+            "text": format!("{}\n{}", self.subject(address), self.text(address, page)),
             "news": news,
         })
     }
+}
+
+/// The telescope's page.
+fn link(page: &str, address: &Address) -> String {
+    format!("{}/t/{}/{}", page.trim_end_matches('/'), address.site, address.telescope)
 }
 
 /// A cause may contain a server's whole answer.
@@ -104,10 +145,26 @@ mod tests {
     #[test]
     fn a_long_letter_stays_short_and_names_every_alert() {
         let address = Address::new("s", "t").unwrap();
-        let text = letter(50, &"\u{e9}".repeat(5000)).text(&address);
+        let text = letter(50, &"\u{e9}".repeat(5000)).text(&address, None);
         assert!(text.chars().count() < 30_000, "{}", text.chars().count());
         assert!((0..50).all(|number| text.contains(&format!("dome-held/d{number}"))), "{text}");
         assert_eq!(text.matches("What to do").count(), 20);
+    }
+
+    #[test]
+    fn a_message_of_ntfy_is_short_urgent_while_it_is_bad_and_leads_to_the_page() {
+        let address = Address::new("s", "t").unwrap();
+        let (mut long, mut short) = (letter(50, &"\u{e9}".repeat(5000)), letter(1, "c"));
+        let sent = long.ntfy(&address, "night", Some("https://x.org/"));
+        assert!(sent["message"].as_str().unwrap().len() <= 3504, "{sent}");
+        assert_eq!((&sent["topic"], &sent["priority"]), (&json!("night"), &json!(4)));
+        assert_eq!(sent["click"], "https://x.org/t/s/t");
+        long.news[7].alert.priority = Priority::Critical;
+        assert_eq!(long.ntfy(&address, "night", None)["priority"], 5);
+        short.news[0].event = AlertEvent::Cleared;
+        let sent = short.ntfy(&address, "night", None);
+        assert_eq!((&sent["priority"], sent.get("click")), (&json!(3), None));
+        assert!(short.text(&address, Some("https://x.org")).ends_with("\nhttps://x.org/t/s/t"));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use bus::MachineTime;
-use config::{Alerting, Ping, Smtp, Webhook};
+use config::{Alerting, Format, Ping, Smtp, Webhook};
 use contract::observatory::{AlertKind, Alerts, Priority};
 use internet::Method;
 use node::Node;
@@ -113,16 +113,21 @@ pub async fn keep_delivering(
 }
 
 async fn deliver(node: &Node, http: &mut Http, way: &Way, letter: &Letter) -> anyhow::Result<()> {
-    let (address, ca_file) = (node.config.address(), node.config.alerts.ca_file.as_deref());
+    let alerting = &node.config.alerts;
+    let (address, ca_file, page) = (node.config.address(), alerting.ca_file.as_deref(), alerting.page.as_deref());
     match way {
         Way::Webhook(hook) => {
             let token = secret(hook.token_file.as_deref(), hook.token_env.as_deref()).await?;
-            let body = letter.json(&address).to_string();
-            let ask = Ask { method: Method::POST, url: &hook.url, token: token.as_deref(), body };
+            let topic = hook.topic().filter(|_| hook.format == Format::Ntfy);
+            let (url, body) = match topic {
+                Some((server, topic)) => (server, letter.ntfy(&address, topic, page)),
+                None => (hook.url.as_str(), letter.json(&address, page)),
+            };
+            let ask = Ask { method: Method::POST, url, token: token.as_deref(), body: body.to_string() };
             http.ask(ask, ca_file).await
         }
         Way::Email { smtp, to, all } => {
-            let mail = Mail { to, all, subject: &letter.subject(&address), text: letter.text(&address) };
+            let mail = Mail { to, all, subject: &letter.subject(&address), text: letter.text(&address, page) };
             mail::send(smtp, ca_file, mail).await
         }
     }

@@ -30,11 +30,11 @@ const FIRST_BEGIN: Duration = Duration::from_secs(1);
 /// The field in this node's state that shows others that it stands in.
 const FIGURE: &str = "stands_in_after_s";
 
-/// Sends in its place while it is silent, for ever; does nothing where the configuration gives this task to another
-/// role or to nobody.
+/// Sends in its place while it is silent, for ever; does nothing where the configuration gives this task to nobody.
 ///
 /// Events that the silent node has sent are not sent again, and the node that returns receives the report of what this
-/// one sent. Of several nodes that stand in, the one with the first name sends. Shared devices have no observatory node: for
+/// one sent. Of several nodes that stand in, those of the configured role come first, then those of the other one, since what
+/// ends the observatory node may end one role with it; of one role the node with the first name sends. Shared devices have no observatory node: for
 /// them a node that stands in always sends.
 ///
 /// # Errors
@@ -43,7 +43,7 @@ const FIGURE: &str = "stands_in_after_s";
 pub async fn keep_substituting(node: Node) -> anyhow::Result<()> {
     let alerting = &node.config.alerts;
     let timeout_s = alerting.send_when_observatory_silent_s;
-    if timeout_s <= 0.0 || alerting.stand_in != node.role {
+    if timeout_s <= 0.0 || !matches!(node.role, Role::Archive | Role::Web) {
         return std::future::pending().await;
     }
     node.figure(FIGURE, Scalar::Float(timeout_s));
@@ -95,25 +95,33 @@ impl Observatories {
     }
 }
 
-/// Others of this role that stand in, and send before this one.
+/// Others that stand in, and send before this one.
 struct Elders {
     states: bus::Subscriber<NodeState>,
-    received: BTreeMap<Name, MachineTime>,
+    received: BTreeMap<(Role, Name), MachineTime>,
+}
+
+/// Who sends first: nodes of the configured role, by their names, and then the others.
+fn turn(first: Role, role: Role, id: &Name) -> (bool, &Name) {
+    (role != first, id)
 }
 
 impl Elders {
     async fn listen(node: &Node) -> anyhow::Result<Self> {
-        let (address, role) = (node.config.address(), node.role);
-        let keys = Topic::Node(NodeTopic::State).at(&address).of_role(role);
+        let address = node.config.address();
+        let keys = Topic::Node(NodeTopic::State).at(&address);
         Ok(Self { states: node.bus.subscribe(keys, Catch::Newest, 64).await?, received: BTreeMap::new() })
     }
 
     fn observe(&mut self, node: &Node, state: Received<NodeState>) {
-        let Key::Node(_, _, id, NodeTopic::State) = state.key else { return };
-        if id < node.id && state.sample.body.figures.contains_key(FIGURE) && state.sample.body.stopped.is_none() {
-            self.received.insert(id, state.arrived);
+        let Key::Node(_, role, id, NodeTopic::State) = state.key else { return };
+        let first = node.config.alerts.stand_in;
+        let body = &state.sample.body;
+        let is_before = turn(first, role, &id) < turn(first, node.role, &node.id);
+        if is_before && body.figures.contains_key(FIGURE) && body.stopped.is_none() {
+            self.received.insert((role, id), state.arrived);
         } else {
-            self.received.remove(&id);
+            self.received.remove(&(role, id));
         }
     }
 
@@ -265,6 +273,16 @@ mod tests {
         ] {
             assert_eq!(known.presence(newest_s.map(at), at(now_s)), wanted, "{name}");
         }
+    }
+
+    #[test]
+    fn the_configured_role_sends_before_the_other_and_of_one_role_the_first_name() {
+        let [a, b]: [Name; 2] = ["a", "b"].map(|id| id.parse().unwrap());
+        let mut all = [(Role::Web, &a), (Role::Archive, &b), (Role::Web, &b), (Role::Archive, &a)];
+        all.sort_by_key(|(role, id)| turn(Role::Archive, *role, id));
+        assert_eq!(all, [(Role::Archive, &a), (Role::Archive, &b), (Role::Web, &a), (Role::Web, &b)]);
+        all.sort_by_key(|(role, id)| turn(Role::Web, *role, id));
+        assert_eq!(all, [(Role::Web, &a), (Role::Web, &b), (Role::Archive, &a), (Role::Archive, &b)]);
     }
 
     #[test]

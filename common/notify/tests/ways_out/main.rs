@@ -41,6 +41,23 @@ async fn webhook_and_ping_reach_servers_of_the_sites_own_authority() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn ntfy_gets_a_message_for_its_topic_at_the_root_of_its_server() {
+    let web = Web::serve(None).await;
+    let hook = hook("phone", &format!("http://127.0.0.1:{}/callisto-4f8a", web.port));
+    let config = format!("[alerts]\npage = \"https://telescopes.example.org\"\n{hook}format = \"ntfy\"\n");
+    let site = Site::open(&config, &[]).await;
+    let id = site.raise("dome");
+    site.until("the phone gets it", || !web.asked().is_empty()).await;
+    let asked = web.asked();
+    assert_eq!((asked[0].method.as_str(), asked[0].path.as_str()), ("POST", "/"));
+    let body = &asked[0].body;
+    assert_eq!((&body["topic"], &body["priority"]), (&serde_json::json!("callisto-4f8a"), &serde_json::json!(5)));
+    assert!(body["title"].as_str().is_some_and(|title| title.ends_with(&format!("critical raised: {id}"))), "{body}");
+    assert!(body["message"].as_str().is_some_and(|text| text.contains("What to do")), "{body}");
+    assert_eq!(body["click"], "https://telescopes.example.org/t/site/alpha");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_server_that_proves_nothing_gets_nothing_and_is_an_alert_that_names_the_remedy() {
     let (known, unknown) = (Authority::new("site CA"), Authority::new("somebody"));
     let good = Web::serve(Some(known.server(&["localhost"]))).await;
