@@ -30,12 +30,7 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
         let written = streams::received(&received);
         let Key::Node(address, role, id, _) = received.key else { continue };
         let line = received.sample.body;
-        let mut message = line.message;
-        for (name, value) in &line.fields {
-            message.push_str(&format!(" {name}={value}"));
-        }
-        // From any sender: a table is read line by line, too.
-        let message = contract::printable(&message).into_owned();
+        let message = line.text();
         let write = Write::Log {
             telescope: address.telescope.to_string(),
             node: format!("{role}/{id}"),

@@ -111,9 +111,12 @@ pub fn parts(images: &Path, telescope: &Address) -> PathBuf {
 
 /// Makes the folders; a link in the place of one is replaced.
 fn prepare(images: &Path, telescope: &Address) -> io::Result<()> {
-    fs::create_dir_all(images)?;
-    for folder in [images.join(PART_FOLDER), parts(images, telescope)] {
-        if fs::symlink_metadata(&folder).is_ok_and(|found| !found.is_dir()) {
+    if let Some(above) = images.parent() {
+        fs::create_dir_all(above)?;
+    }
+    for folder in [images.to_owned(), images.join(PART_FOLDER), parts(images, telescope)] {
+        let is_ours = folder != images;
+        if is_ours && fs::symlink_metadata(&folder).is_ok_and(|found| !found.is_dir()) {
             tracing::warn!(path = %folder.display(), "a link or file is in the place of the archive's own folder; it is removed");
             fs::remove_file(&folder)?;
         }

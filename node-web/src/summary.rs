@@ -292,7 +292,15 @@ impl Summary {
             entry.at_utc.seconds_since(state.since_utc) / speed + entry.age(now).as_secs_f64()
         });
         let names = domes.iter().filter(|view| view.dome.address != *address).map(|view| &view.dome.name);
-        let alerts = active(telescope, site.map(|site| about(site, names)).unwrap_or_default(), now);
+        let stopped = stopped_telescope(telescope);
+        let is_stopped_closed = stopped.as_ref().is_some_and(|stopped| stopped.closed == Some(true));
+        // What the nodes reported last is over, and nothing stands open; a device node that goes on may report that again.
+        let is_over = is_stopped_closed && nodes(telescope, now).iter().all(|node| node.state.ended_well());
+        let alerts = if is_over {
+            Vec::new()
+        } else {
+            active(telescope, site.map(|site| about(site, names)).unwrap_or_default(), now)
+        };
         let fresh_safety = safety.as_ref().filter(|(entry, _)| entry.quality(now) == Quality::Fresh).map(|(_, s)| s);
         let schedule = telescope.read::<ScheduleState>(&part(Part::Schedule)).map(|(_, schedule)| schedule);
         let orders = telescope.read::<OperatorOrders>(&part(Part::OperatorOrders)).map(|(_, orders)| orders);
@@ -305,8 +313,6 @@ impl Summary {
             orders: orders.as_ref(),
             silent_since,
         };
-        let stopped = stopped_telescope(telescope);
-        let is_stopped_closed = stopped.as_ref().is_some_and(|stopped| stopped.closed == Some(true));
         let image = telescope.image.as_ref();
         let face = Face {
             id: address.to_string(),
@@ -319,13 +325,16 @@ impl Summary {
                 Quality::Never if posture_by == Reporter::Nobody => None,
                 _ => concern(words.state, posture, held_s),
             },
-            stopped,
             safety: words,
             posture,
             posture_by,
             observatory_silent_since_utc: silent_since,
-            now: if shared { String::new() } else { seen.now() },
-            domes: domes.iter().map(DomeView::words).collect(),
+            now: match &stopped {
+                _ if shared => String::new(),
+                Some(stopped) => stopped.text.clone(),
+                None => seen.now(),
+            },
+            domes: if is_over { Vec::new() } else { domes.iter().map(DomeView::words).collect() },
             mode: match fresh_night.map(|night| night.robotic) {
                 Some(true) => Mode::Robotic,
                 Some(false) => Mode::Manual,
@@ -358,6 +367,7 @@ impl Summary {
                     problem: image.problem.clone(),
                 })
             }),
+            stopped,
             figures: fresh_night.map(|_| figures(address, telescope, now)).unwrap_or_default(),
         };
         let ages = Ages {
@@ -547,6 +557,7 @@ mod tests {
         let face = long_after(&all);
         assert_eq!(face.stopped.unwrap().text, "stopped by starmesh up on pc, closed");
         assert_eq!((face.concern, face.node_count, face.alerts.len()), (None, Heads { known: 3, lost: 0 }, 0));
+        assert_eq!((face.now.as_str(), face.domes.len()), ("stopped by starmesh up on pc, closed", 0));
 
         let open = [("observatory/main", by(Some(false))), ("device/enclosure", by(Some(false)))];
         let face = long_after(&open);

@@ -136,8 +136,8 @@ fn print(chain: &Chain, found: &Examined) -> anyhow::Result<usize> {
             "{name}: {} records of {}, {} to {}, numbers {} to {}, the last with sha256 {}",
             found.good.len(),
             first.node,
-            first.at_utc,
-            last.at_utc,
+            first.at_utc.to_second(),
+            last.at_utc.to_second(),
             first.number,
             last.number,
             last.sha256

@@ -23,7 +23,7 @@ pub struct Check {
     /// FITS files, plain or in compressed tiles (`.fz`).
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// Whose rules: astra (our own), eso or lco.
+    /// Whose rules: plain (the default of new sites), astra, eso or lco.
     #[arg(long, default_value = "astra")]
     profile: ProfileName,
 }
@@ -34,7 +34,7 @@ pub struct Convert {
     /// FITS files, plain or in compressed tiles (`.fz`).
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// Whose rules: astra (our own), eso or lco.
+    /// Whose rules: plain (the default of new sites), astra, eso or lco.
     #[arg(long)]
     profile: ProfileName,
     /// The folder for the copies; it is made if it is not there.

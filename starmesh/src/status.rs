@@ -236,7 +236,11 @@ impl Status {
         let mode = night.map_or("-", |night| if night.robotic { "ROBOTIC" } else { "MANUAL" });
         let sky = night.map_or_else(|| "-".to_owned(), sky_word);
         let alerts = self.alerts(domes, of_shared);
-        let count = alerts.len();
+        // As on the page: what somebody sees to, has shelved, or is over, needs nobody else.
+        let needs_someone = |alert: &&Alert| {
+            alert.acknowledged_by.is_none() && alert.shelved_by.is_none() && alert.returned_utc.is_none()
+        };
+        let (count, shown) = (alerts.iter().filter(needs_someone).count(), alerts.len());
         let now = self.now(address, domes);
         let head = format!("{:28} {safety:8} {posture:9} {mode:8} {sky:14} {count:>6}  {now}", address.to_string());
         let mut lines = vec![head.trim_end().to_owned()];
@@ -262,7 +266,7 @@ impl Status {
             }
         }
         lines.extend(alerts.iter().take(MOST_ALERTS).map(alert_words));
-        if let Some(more) = count.checked_sub(MOST_ALERTS).filter(|more| *more > 0) {
+        if let Some(more) = shown.checked_sub(MOST_ALERTS).filter(|more| *more > 0) {
             lines.push(format!(
                 "    {more} more alerts: starmesh tail '{}'",
                 Key::Observatory(address.clone(), Part::Alerts)
@@ -304,7 +308,11 @@ impl Status {
 fn alert_words(alert: &Alert) -> String {
     let who = alert.acknowledged_by.as_ref().map(|who| format!(" ({who} sees to it)")).unwrap_or_default();
     let gone = if alert.returned_utc.is_some() { " (its cause is gone)" } else { "" };
-    format!("    {} {}: {}{gone}{who}; {}", alert.priority.word(), alert.id, alert.cause, alert.action)
+    let shelved = match (&alert.shelved_by, alert.shelved_until_utc) {
+        (Some(who), Some(until)) => format!(" (shelved by {who} until {})", until.to_second()),
+        _ => String::new(),
+    };
+    format!("    {} {}: {}{gone}{who}{shelved}; {}", alert.priority.word(), alert.id, alert.cause, alert.action)
 }
 
 /// A reason with the time at which it can end.

@@ -68,7 +68,11 @@ pub async fn unanswered(address: &Address, bus: &Bus, join: &Join) -> anyhow::Er
 
 /// The error for a telescope that nobody knows, where these telescopes are known.
 pub fn mistyped(address: &Address, known: &BTreeSet<Address>, join: &Join) -> anyhow::Error {
-    anyhow!("no node of a telescope {address} answers on the bus; {}", meant(&address.to_string(), known, join))
+    let meant = meant(&address.to_string(), known, join);
+    anyhow!(
+        "no node of a telescope {address} answers on the bus; {meant}. If that is its name, its nodes have ended or are out of \
+         reach: look at its dome"
+    )
 }
 
 /// Telescopes of which any node answers, or a dome's guard.
@@ -140,7 +144,14 @@ fn suggestion(text: &str, known: &BTreeSet<Address>) -> Option<String> {
     }
     // Most people who forget the site write the telescope's name alone.
     let alone = names.iter().find(|name| name.split_once('/').is_some_and(|(_, telescope)| telescope == text));
-    let near = alone.map(String::as_str).or_else(|| config::nearest(text, names.iter().map(String::as_str)));
+    // Both parts are nearly the same: the site that two telescopes share makes none of them the other.
+    let part = |of: &str, known: &str| config::nearest(of, [known]).is_some();
+    let is_near = |known: &&Address| match text.split_once('/') {
+        Some((site, telescope)) => part(site, known.site.as_str()) && part(telescope, known.telescope.as_str()),
+        None => true,
+    };
+    let near: Vec<String> = known.iter().filter(is_near).map(ToString::to_string).collect();
+    let near = alone.map(String::as_str).or_else(|| config::nearest(text, near.iter().map(String::as_str)));
     let near = near.map(|near| format!("did you mean {near}? ")).unwrap_or_default();
     Some(format!("{near}On the bus: {}", names.join(", ")))
 }
@@ -157,6 +168,7 @@ mod tests {
             .collect();
         let all = "On the bus: paranal/callisto, paranal/io";
         assert_eq!(suggestion("paranal/calisto", &known).unwrap(), format!("did you mean paranal/callisto? {all}"));
+        assert_eq!(suggestion("paranal/ganymede", &known).unwrap(), all, "another telescope of the site is not meant");
         assert_eq!(suggestion("io", &known).unwrap(), format!("did you mean paranal/io? {all}"));
         assert_eq!(suggestion("x", &known).unwrap(), all);
         assert_eq!(suggestion("x", &BTreeSet::new()), None);

@@ -109,7 +109,9 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     stop_observatory.stop();
     let ending = async {
         while observatory.join_next().await.is_some() {}
-        for (id, stop, mut task) in devices {
+        let has_dome = |id: &str| config.served_by(id).iter().any(|(kind, _)| *kind == contract::Kind::Dome);
+        let (enclosures, other_devices): (Vec<_>, Vec<_>) = devices.into_iter().partition(|(id, ..)| has_dome(id));
+        for (id, stop, mut task) in enclosures {
             stop.stop();
             let began = Instant::now();
             while tokio::time::timeout(REPORT_AFTER, task.join_next()).await.is_err() {
@@ -119,6 +121,14 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
                     began.elapsed().as_secs()
                 ));
             }
+        }
+        // All at once: where these are shared, each second of theirs counts against the readings' allowed age elsewhere.
+        other_devices.iter().for_each(|(_, stop, _)| stop.stop());
+        if shared {
+            stop_others.stop();
+        }
+        for (_, _, mut task) in other_devices {
+            while task.join_next().await.is_some() {}
         }
         stop_others.stop();
         while others.join_next().await.is_some() {}

@@ -6,7 +6,7 @@ use std::fmt::Display;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Payload, Role, Scalar};
+use crate::{Payload, Role, Scalar, printable};
 
 /// Health of a node, every 5 s.
 #[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
@@ -78,6 +78,15 @@ pub struct DiaryLine {
     /// Its fields.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub fields: BTreeMap<String, String>,
+}
+
+impl DiaryLine {
+    /// What it says, with its fields, as one line.
+    pub fn text(&self) -> String {
+        let fields: String = self.fields.iter().map(|(name, value)| format!(" {name}={value}")).collect();
+        // From any sender: lines are read one by one.
+        printable(&format!("{}{fields}", self.message)).into_owned()
+    }
 }
 
 impl Payload for DiaryLine {

@@ -49,10 +49,8 @@ impl Ends {
     }
 
     /// The process that wrote the file, and the ends before it; of a file that is damaged only what can be read.
-    fn read(text: &str) -> (Option<u32>, Self) {
-        let mut words = text.split_whitespace();
-        let pid = words.next().and_then(|word| word.parse().ok());
-        (pid, Self(words.filter_map(|word| word.parse().ok()).collect()))
+    fn read(text: &str) -> Self {
+        Self(text.split_whitespace().skip(1).filter_map(|word| word.parse().ok()).collect())
     }
 }
 
@@ -61,28 +59,25 @@ pub(crate) async fn notice(node: &Node) {
     let path = path(node);
     let noted = tokio::task::spawn_blocking(move || {
         let before = std::fs::read_to_string(&path).ok();
-        let (pid, mut ends) = before.as_deref().map(Ends::read).unwrap_or_default();
+        let mut ends = before.as_deref().map(Ends::read).unwrap_or_default();
         if before.is_some() {
             ends.take(now_s());
         }
         // Without the file the next run does not know of this one.
         let _ = path.parent().map(std::fs::create_dir_all);
         let _ = std::fs::write(&path, ends.text(std::process::id()));
-        (before.is_some(), pid, ends)
+        (before.is_some(), ends)
     });
-    let Ok((has_ended, pid, mut ends)) = noted.await else { return };
+    let Ok((has_ended, mut ends)) = noted.await else { return };
     if !has_ended {
         return;
     }
-    let process = pid.map_or_else(String::new, |pid| format!(" (process {pid})"));
-    let how = format!(
-        "the run before this one{process} ended without being asked to: by a signal, an error, or with its machine"
-    );
+    let how = "the run before this one ended without being asked to: by a signal, an error, or with its machine";
     tracing::warn!("{how}");
     let instance = format!("{}/{}", node.role, node.id);
     while ends.are_many(now_s()) {
         let cause = format!(
-            "the {} node {} ended {MANY} times within {} min; {how}",
+            "the {} node {} ended {MANY} times or more within {} min; {how}",
             node.role,
             node.id,
             WITHIN.as_secs() / 60
@@ -129,8 +124,8 @@ mod tests {
     #[test]
     fn the_file_of_a_run_is_read_by_the_next_one_and_damage_costs_only_what_is_damaged() {
         let ends = Ends(vec![7, 9]);
-        assert_eq!(Ends::read(&ends.text(42)), (Some(42), ends));
-        assert_eq!(Ends::read("42 7 \u{0}\u{0} 9"), (Some(42), Ends(vec![7, 9])));
-        assert_eq!(Ends::read(""), (None, Ends::default()));
+        assert_eq!(Ends::read(&ends.text(42)), ends);
+        assert_eq!(Ends::read("42 7 \u{0}\u{0} 9"), Ends(vec![7, 9]));
+        assert_eq!(Ends::read(""), Ends::default());
     }
 }

@@ -58,6 +58,12 @@ impl Seen<'_> {
         format!("{} has it since {}{}", operator(&held.from), held.at_utc.to_second(), because(&held.reason))
     }
 
+    /// What an order that loosens needs from anybody but the person who has the telescope.
+    fn reason_to_take_over(&self) -> &'static str {
+        let is_held = self.orders.is_some_and(|orders| orders.control.is_some());
+        if is_held { " --reason \"...\"" } else { "" }
+    }
+
     fn cause(&self, night: &NightState) -> String {
         let address = self.address;
         if !night.actions.is_empty() {
@@ -69,10 +75,13 @@ impl Seen<'_> {
         }
         if let Some(closed) = self.orders.and_then(|orders| orders.stay_closed.as_ref()) {
             let (name, at, why) = (operator(&closed.from), closed.at_utc.to_second(), because(&closed.reason));
-            return format!("{name} ordered at {at} that it stays closed{why}: starmesh order {address} open-again");
+            let reason = self.reason_to_take_over();
+            return format!(
+                "{name} ordered at {at} that it stays closed{why}: starmesh order {address} open-again{reason}"
+            );
         }
         if !night.robotic {
-            return format!("waits for a person: starmesh order {address} start");
+            return format!("waits for a person: starmesh order {address} start{}", self.reason_to_take_over());
         }
         if night.ended {
             return "the night is over".to_owned();

@@ -249,7 +249,8 @@ pub(crate) fn hours(time_s: f64) -> String {
     match whole {
         3600.. => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
         60.. => format!("{} min {:02} s", whole / 60, whole % 60),
-        _ => format!("{time_s:.1} s"),
+        // Adding 0 makes of -0 none.
+        _ => format!("{:.1} s", (10.0 * time_s).round() / 10.0 + 0.0),
     }
 }
 

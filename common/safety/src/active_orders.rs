@@ -83,6 +83,9 @@ impl ActiveOrders {
     /// The alerts that keep each order from being forgotten: kind, instance and cause.
     pub fn reminders(&self, now: Utc) -> Vec<(AlertKind, String, String)> {
         let closed = self.stay_closed.iter().map(|ordered_by| {
+            if ordered_by.is_by_node() {
+                return (AlertKind::OrdersLost, String::new(), format!("it stays closed: {}", ordered_by.reason));
+            }
             let cause = format!("{} ordered to stay closed: {}", ordered_by.from, ordered_by.reason);
             (AlertKind::StayClosed, String::new(), cause)
         });
@@ -241,6 +244,9 @@ mod tests {
         let overridden = (AlertKind::Override, SUN.to_owned(), cause);
         assert_eq!(orders.reminders(Utc::from_seconds(1059.0)), [closed.clone(), overridden]);
         assert_eq!(orders.reminders(Utc::from_seconds(1060.0)), [closed]);
+        orders.stay_closed = Some(OrderedBy::by_node("what was ordered before is not known".to_owned(), Utc::EPOCH));
+        let lost = "it stays closed: what was ordered before is not known".to_owned();
+        assert_eq!(orders.reminders(Utc::from_seconds(1060.0)), [(AlertKind::OrdersLost, String::new(), lost)]);
     }
 
     #[test]

@@ -58,7 +58,7 @@ pub fn weigh(order: &Order, orders: &ActiveOrders, is_robotic: bool, now: Utc) -
                 Reason::NotNow,
                 format!(
                     "{name} has the telescope since {} ({why}); to take it over give a reason: --reason \"...\"",
-                    held.at_utc
+                    held.at_utc.to_second()
                 ),
             ));
         }

@@ -4,6 +4,9 @@ use contract::observatory::Ordered;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
+/// Who orders what a node does because it cannot know what people want.
+const NODE: &str = "observatory node";
+
 /// The person who ordered something, and the reason.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OrderedBy {
@@ -18,7 +21,12 @@ pub struct OrderedBy {
 impl OrderedBy {
     /// An order that this node gives itself, because it cannot know what people want.
     pub fn by_node(reason: String, at_utc: Utc) -> Self {
-        Self { from: "observatory node".to_owned(), reason, at_utc }
+        Self { from: NODE.to_owned(), reason, at_utc }
+    }
+
+    /// This node gave it itself.
+    pub fn is_by_node(&self) -> bool {
+        self.from == NODE
     }
 }
 

@@ -423,6 +423,7 @@ fn silent_parameter(fields: &Weather, parameter: &str) -> Option<String> {
     let mut silent = None;
     for name in made_of(parameter) {
         match silence(fields.by_ascom_name(name).and_then(|datum| datum.as_result().err())) {
+            Some(why) if name == parameter => silent = Some(why),
             Some(why) => silent = Some(format!("{name}: {why}")),
             None => drop(fields.measured(name).ok()?),
         }

@@ -79,15 +79,21 @@ async fn mark(path: &Path) -> Mark {
     Some((about.modified().ok()?, about.len()))
 }
 
-async fn read_file(path: PathBuf, file: Arc<ScheduleFile>) -> Result<(String, Vec<Row>), String> {
+/// A text with its rows; nothing where there is no file.
+type ReadFile = Option<(String, Vec<Row>)>;
+
+async fn read_file(path: PathBuf, file: Arc<ScheduleFile>) -> Result<ReadFile, String> {
     let name = path.display().to_string();
     let read = tokio::task::spawn_blocking(move || {
         // An order that replaces the file waits, so that what is remembered is what was read last.
         let mut active = file.active.lock().unwrap_or_else(PoisonError::into_inner);
-        let text = read_text(&path).map_err(|error| format!("cannot be read: {error}"))?;
+        let text = match read_text(&path) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            read => read.map_err(|error| format!("cannot be read: {error}"))?,
+        };
         let rows = rows_of(&text, &file)?;
         *active = Some(ActiveText { text: text.as_str().into(), sha256: sha256(&text) });
-        Ok((text, rows))
+        Ok(Some((text, rows)))
     });
     let read = read.await.unwrap_or_else(|error| Err(error.to_string()));
     read.map_err(|why| format!("{name}: {why}"))
@@ -97,9 +103,24 @@ async fn read_file(path: PathBuf, file: Arc<ScheduleFile>) -> Result<(String, Ve
 fn take(
     file: &ScheduleFile,
     loaded: &watch::Sender<Loaded>,
-    read: Result<(String, Vec<Row>), String>,
+    read: Result<ReadFile, String>,
 ) -> Option<(String, usize)> {
     let alerts = &file.authority.node.alerts;
+    let path = file.authority.node.config.schedule.file.display();
+    let read = match read {
+        // It is written later, or put by an order.
+        Ok(None) if loaded.borrow().rows.is_empty() => {
+            tracing::info!(file = %path, "there is no schedule yet");
+            alerts.clear(AlertKind::ScheduleRefused, "");
+            loaded.send_modify(|loaded| loaded.refused = None);
+            return None;
+        }
+        Ok(None) => {
+            Err(format!("{path}: cannot be read: the file is gone; the rows that were read last stay in force"))
+        }
+        Ok(Some(read)) => Ok(read),
+        Err(why) => Err(why),
+    };
     match read {
         Ok((text, rows)) => {
             alerts.clear(AlertKind::ScheduleRefused, "");

@@ -133,7 +133,8 @@ fn one(
         .partition(|alert| alert.returned_utc.is_some());
     let mut errors: Vec<Value> = active.into_iter().map(describe).collect();
     let returned: Vec<Value> = returned.into_iter().map(describe).collect();
-    if stale {
+    let is_stopped_closed = face.stopped.as_ref().is_some_and(|stopped| stopped.closed == Some(true));
+    if stale && !is_stopped_closed {
         let error = match &face.stopped {
             Some(stopped) => format!("stale: {}", stopped.text),
             None => {

@@ -51,7 +51,7 @@ fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, now: &str) -> String {
     if known == 0 {
         text.push_str("<p>No telescope on the bus yet.</p>");
     }
-    text.push_str("<p>To close one: <code>starmesh order SITE/TELESCOPE close</code> on a host with its configuration.</p></main></body></html>");
+    text.push_str("</main></body></html>");
     text
 }
 
@@ -75,18 +75,18 @@ fn telescope(text: &mut String, Summary { face, ages }: &Summary) {
     };
     let age = ages.age_s.map_or("nothing received yet".to_owned(), |age| format!("{age:.0} s old"));
     let simulated = if face.simulated { ", simulation" } else { "" };
-    let _ = write!(
-        text,
-        "<section class=\"card\"><h2>{}</h2><p><b>{safety}</b> <b>{posture}</b>{mode}{simulated}, {age}</p>",
-        escaped(&face.id)
-    );
-    for action in &face.activity {
-        let object = action.object.as_deref().unwrap_or_default();
-        let _ = write!(text, "<p>{} {}: {}</p>", escaped(&action.action), escaped(object), escaped(&action.step));
+    let id = escaped(&face.id);
+    let _ = write!(text, "<section class=\"card\"><h2>{id}</h2>");
+    if let Some(stopped) = face.stopped.as_ref().filter(|stopped| stopped.closed == Some(true)) {
+        let _ = write!(text, "<p>{}, {age}</p></section>", escaped(&stopped.text));
+        return;
     }
+    let _ =
+        write!(text, "<p><b>{safety}</b> <b>{posture}</b>{mode}{simulated}, {age}</p><p>{}</p>", escaped(&face.now));
+    list(text, face.domes.iter().cloned());
     list(text, face.safety.reasons.iter().map(|reason| format!("{} {}", reason.input, reason.why)));
     list(text, face.alerts.iter().map(told));
-    text.push_str("</section>");
+    let _ = write!(text, "<p>To close it: <code>starmesh order {id} close</code></p></section>");
 }
 
 fn told(alert: &Alert) -> String {
@@ -125,5 +125,20 @@ mod tests {
         let page = html(summaries.iter(), "now");
         assert!(page.contains("SAFETY UNKNOWN") && page.contains("DOME UNKNOWN"), "{page}");
         assert!(page.contains("critical: &lt;img") && !page.contains("<img"), "{page}");
+    }
+
+    #[test]
+    fn a_telescope_that_was_stopped_in_good_order_is_told_so_and_one_that_runs_has_its_own_command() {
+        let address = Address { site: "paranal".parse().unwrap(), telescope: "callisto".parse().unwrap() };
+        let state = |stopped| json!({"role": "observatory", "version": "", "host": "pc", "pid": 1, "uptime_s": 1.0, "speed": 1.0, "stopped": stopped});
+        let page = |stopped| {
+            let network = Network::new(Clock::machine_clock(), address.clone());
+            network.accept(received("paranal/callisto/node/observatory/main/state", "b1", 1, 100, state(stopped)));
+            html(network.summaries().iter(), "now")
+        };
+        let runs = page(serde_json::Value::Null);
+        assert!(runs.contains("<code>starmesh order paranal/callisto close</code>"), "{runs}");
+        let stopped = page(json!({"by": "starmesh up on pc", "closed": true}));
+        assert!(stopped.contains("stopped by starmesh up on pc, closed") && !stopped.contains("UNKNOWN"), "{stopped}");
     }
 }

@@ -187,7 +187,8 @@ impl Progress {
             self.facts.guides = state.active;
             self.facts.guided += u32::from(state.active);
             let word = if state.active { "begins" } else { "ends" };
-            self.print(now, &format!("guiding {word}: {}", state.detail));
+            let detail = if state.detail.is_empty() { String::new() } else { format!(": {}", state.detail) };
+            self.print(now, &format!("guiding {word}{detail}"));
         }
     }
 

@@ -67,6 +67,11 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     }
     let mut found: Vec<Found> = Vec::new();
     for server in &options.server {
+        let port = server.rsplit_once(':').and_then(|(host, port)| (!host.contains('/')).then_some(port));
+        ensure!(
+            port.is_some_and(|port| port.parse::<u16>().is_ok()),
+            "--server {server}: expected HOST:PORT, such as 192.168.1.5:11111"
+        );
         match discovery::configured_devices(server).await {
             Ok(devices) => found.extend(devices),
             Err(error) => bail!("--server {server}: it does not list its devices: {error}"),
@@ -112,13 +117,19 @@ fn put_aside(path: &Path) -> anyhow::Result<Option<PathBuf>> {
 
 /// The command that asks a server for the devices that were not found, for the same files.
 fn command_for_server(options: &Options) -> String {
-    let folder = options.folder.display().to_string();
-    let folder =
-        if folder.contains(|c: char| c.is_whitespace() || c == '\'') { format!("\"{folder}\"") } else { folder };
     format!(
-        "starmesh init {folder} --force --site {} --telescope {} --server HOST:PORT",
-        options.site, options.telescope
+        "starmesh init {} --force --site {} --telescope {} --server HOST:PORT",
+        for_shell(&options.folder),
+        options.site,
+        options.telescope
     )
+}
+
+/// A path as a shell takes it.
+fn for_shell(path: &Path) -> String {
+    let path = path.display().to_string();
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+@%=:,\\".contains(c);
+    if path.chars().all(is_plain) { path } else { format!("'{}'", path.replace('\'', "'\\''")) }
 }
 
 /// Writes a new file.
@@ -129,7 +140,7 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
 
 fn print_summary(options: &Options, found: &[Found], around: &Surroundings) -> anyhow::Result<()> {
     let file = options.folder.join(CONFIG);
-    let file = file.display();
+    let (typed, file) = (for_shell(&file), file.display());
     if found.is_empty() {
         line(format_args!(
             "\nNo Alpaca device answered within {} s on UDP port {}: the devices in {file} are examples, each behind a #.\n\
@@ -153,7 +164,7 @@ fn print_summary(options: &Options, found: &[Found], around: &Surroundings) -> a
         ))?;
     }
     line(format_args!(
-        "\nNow: read {file}, then\n     starmesh check {file}\n     starmesh up {file}\n     starmesh order {}/{} start\n\
+        "\nNow: read {file}, then\n     starmesh check {typed}\n     starmesh up {typed}\n     starmesh order {}/{} start\n\
          Nothing opens before the last of them.",
         options.site, options.telescope
     ))

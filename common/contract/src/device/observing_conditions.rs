@@ -169,20 +169,25 @@ impl Fields {
     /// The value of a parameter, or why there is none: it is missing, or outside of its range.
     ///
     /// # Errors
-    /// The reason, with the value and the range.
+    /// The reason, with the value and the range; of a difference it names the part that is missing.
     pub fn measured(&self, parameter: &str) -> Result<f64, String> {
         let value = match made_of(parameter).as_slice() {
-            [from, what] => self.measured(from)? - self.measured(what)?,
+            [from, what] => {
+                let part = |name: &str| self.measured(name).map_err(|why| format!("{name}: {why}"));
+                part(from)? - part(what)?
+            }
             _ => {
                 let datum = self.by_ascom_name(parameter).ok_or_else(|| format!("{parameter} is no parameter"))?;
-                *datum.as_result().map_err(|reason| format!("{parameter}: {reason}"))?
+                *datum.as_result().map_err(ToString::to_string)?
             }
         };
         match physical_range(parameter) {
             Some(range) if range.contains(value) => Ok(value),
             Some(PhysicalRange { low, high, unit }) => {
-                let value = (value * 1000.0).round() / 1000.0;
-                Err(format!("{parameter}: {value} is not possible; expected {low} to {high} {unit}"))
+                let rounded = (value * 1000.0).round() / 1000.0;
+                // What is just outside of a range must not read as if it were inside.
+                let shown = if rounded < low || rounded > high { rounded.to_string() } else { format!("{value:e}") };
+                Err(format!("{shown} is not possible; expected {low} to {high} {unit}"))
             }
             None => Err(format!("{parameter} has no range, so that no value of it is believed")),
         }
@@ -226,7 +231,9 @@ mod tests {
             |sky_c, air_c| Fields { sky_c: Datum::Known(sky_c), air_c: Datum::Known(air_c), ..Fields::default() };
         assert_eq!(fields(-20.0, 5.0).measured("RelativeSkyTemp"), Ok(-25.0));
         let far = fields(-69.0, 30.0).measured("RelativeSkyTemp").unwrap_err();
-        assert_eq!(far, "RelativeSkyTemp: -99 is not possible; expected -80 to 40 kelvin of difference");
+        assert_eq!(far, "-99 is not possible; expected -80 to 40 kelvin of difference");
+        let negative = Fields { rain_mm_per_h: Datum::Known(-1e-9), ..Fields::default() };
+        assert!(negative.measured("RainRate").unwrap_err().starts_with("-1e-9 is not possible; expected 0 to "));
         assert!(fields(-178.0, 5.0).measured("RelativeSkyTemp").unwrap_err().starts_with("SkyTemperature: -178"));
     }
 }

@@ -110,7 +110,7 @@ impl LegacyLine {
                 Level::Warn => "warning",
                 Level::Info => "info",
             },
-            message: line.line.message.clone(),
+            message: line.line.text(),
         }
     }
 

@@ -26,6 +26,13 @@ pub(super) const STAY_CLOSED: AlertEntry = AlertEntry {
     ..PLAIN
 };
 
+pub(super) const ORDERS_LOST: AlertEntry = AlertEntry {
+    word: "orders-lost",
+    consequence: "Nothing opens until a person says so: the night is being lost.",
+    action: "Make sure that nobody wants the dome closed, then: starmesh order SITE/TELESCOPE open-again.",
+    ..HIGH
+};
+
 pub(super) const OVERRIDE: AlertEntry = AlertEntry {
     word: "override",
     instance: "INPUT",
