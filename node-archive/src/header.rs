@@ -107,6 +107,9 @@ const ALWAYS: [&str; 12] = [
 /// The keywords of [`COMPUTED`] that every file has, unless the table gives them another value. Archives ask for them.
 const UNLESS_GIVEN: [&str; 8] = ["OBSERVAT", "NIGHT", "SCHEDROW", "GAIN", "EGAIN", "RDNOISE", "SATURATE", "ROWORDER"];
 
+/// A pixel of this share of the largest value of the driver is clipped.
+const CLIPPED: f64 = 0.99;
+
 impl HeaderFacts<'_> {
     fn number(&self, kind: Kind, property: &str) -> Option<f64> {
         (self.newest)(kind, property)?.number().filter(|number| number.is_finite())
@@ -123,11 +126,13 @@ impl HeaderFacts<'_> {
 
     /// No pixel of a file is above what its numbers can hold.
     fn saturation(&self) -> Option<f64> {
-        let most_adu = self.sensor.saturation_adu.or_else(|| self.positive(Kind::Camera, "MaxADU"))?;
-        Some(match self.frame.pixel {
-            Pixel::U16 => most_adu.min(f64::from(u16::MAX)),
-            _ => most_adu,
-        })
+        let clips_adu = self.positive(Kind::Camera, "MaxADU").map(|most| match self.frame.pixel {
+            Pixel::U16 => most.min(f64::from(u16::MAX)),
+            _ => most,
+        });
+        // Clipped pixels have the driver's largest value, or a little less once a bias is taken off: programs that look for
+        // what is above the keyword would see none of them.
+        self.sensor.saturation_adu.or_else(|| clips_adu.map(|most| (CLIPPED * most).floor()))
     }
 
     /// A coordinate of the site in the Earth's frame, m.

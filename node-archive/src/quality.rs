@@ -12,7 +12,7 @@ use crate::plan::Plan;
 type FactValue = fn(&FrameFacts) -> Option<CardValue>;
 
 /// Keyword, value and comment; units stand in brackets as the FITS standard 4.0, 4.3 has them.
-const KEYWORDS: [(&str, FactValue, &str); 23] = [
+const KEYWORDS: [(&str, FactValue, &str); 24] = [
     ("NSTARS", |f| Some(CardValue::Int(f.stars?.into())), "stars found"),
     ("FWHM", |f| f.fwhm_px.map(CardValue::Float), "[pix] median FWHM of the best stars, Moffat"),
     ("FWHMERR", |f| f.fwhm_error_px.map(CardValue::Float), "[pix] standard error of FWHM"),
@@ -40,6 +40,7 @@ const KEYWORDS: [(&str, FactValue, &str); 23] = [
     ("WCSRMS", |f| f.rms_px.map(CardValue::Float), "[pix] rms of their places"),
     ("WCSFALSE", |f| f.false_alarm.map(CardValue::Float), "probability of a false solution"),
     ("OFFTARG", |f| f.off_target_arcmin.map(CardValue::Float), "[arcmin] frame's middle to target"),
+    ("TARGSAT", |f| f.target_saturated.map(CardValue::Logical), "the star of the target is saturated"),
 ];
 
 /// Whether the sky is a mirror image as FITS counts pixels, with the first row at the bottom: north up, east on the right.

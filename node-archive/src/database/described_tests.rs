@@ -77,8 +77,8 @@ fn views_give_angles_on_the_sky_and_times_with_their_zone() {
             "INSERT INTO images (filename, camera_name, complete_hdr, date_obs, frame_id, file, sha256, bytes, stored, frame, telescope)
                 VALUES ('/data/a.fits', 'andor', 1, '2026-11-21 03:00:01.500000', 'f1', '20261120/a.fits', '', 1, '', '{frame}', 'callisto');
              INSERT INTO facts (frame_id, camera_name, telescope, stars, fwhm_px, scale_arcsec_px, airmass, facts, datetime, boot_id, seq, in_header)
-                VALUES ('f1', 'andor', 'callisto', 30, 4.0, 0.5, 1.25, '', '', '', 1, 1),
-                       ('g1', 'guider', 'callisto', 9, 2.0, 2.0, NULL, '', '', '', 1, 1);
+                VALUES ('f1', 'andor', 'callisto', 30, 4.0, 0.5, 1.25, '{{\"target_saturated\": true}}', '', '', 1, 1),
+                       ('g1', 'guider', 'callisto', 9, 2.0, 2.0, NULL, '{{}}', '', '', 1, 1);
              {}{}{}
              INSERT INTO series (id, telescope, device_type, device_name, device_command) VALUES
                 (1, 'callisto', 'ObservingConditions', 'wx', 'Temperature'), (2, 'callisto', 'ObservingConditions', 'wx', 'WindGust'),
@@ -98,6 +98,7 @@ fn views_give_angles_on_the_sky_and_times_with_their_zone() {
         ("object", text("TRAPPIST-1")),
         ("filter", text("r")),
         ("programme", text("P.1")),
+        ("target_saturated", Integer(1)),
         ("schedule_row", Integer(4)),
         ("start_utc", text("2026-11-21T03:00:01.500000Z")),
         ("mid_utc", text("2026-11-21T03:00:31.500Z")),

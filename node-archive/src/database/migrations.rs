@@ -23,7 +23,8 @@ pub(super) const STEPS: [&str; 13] = [
     owner::SCHEMA,
     streams::SCHEMA,
     happenings::VERDICTS,
-    views::SCHEMA,
+    // The views were made here once; they hold no data and are made anew at each start.
+    "",
 ];
 
 /// The version that this Starmesh writes.
@@ -54,9 +55,12 @@ pub(super) fn open(path: &Path) -> Result<Connection, DatabaseError> {
     Ok(connection)
 }
 
-/// Takes the steps that a file lacks.
+/// Takes the steps that a file lacks, and makes the views of this Starmesh.
 pub(super) fn bring_up(connection: &mut Connection) -> rusqlite_migration::Result<()> {
-    Migrations::from_iter(STEPS.map(M::up)).to_latest(connection)
+    Migrations::from_iter(STEPS.map(M::up)).to_latest(connection)?;
+    let transaction = connection.transaction()?;
+    transaction.execute_batch(views::SCHEMA)?;
+    Ok(transaction.commit()?)
 }
 
 /// The version of a file's tables; 0 where it has none.

@@ -282,6 +282,15 @@ async fn rows_of_version_9_belong_to_the_only_telescope_that_the_database_knows_
     }
 }
 
+#[test]
+fn the_views_of_another_starmesh_are_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("archive.db");
+    let views = "DROP VIEW frames; CREATE VIEW frames AS SELECT 1 AS fewer_columns";
+    migrations::open(&path).unwrap().execute_batch(views).unwrap();
+    migrations::open(&path).unwrap().prepare("SELECT target_saturated FROM frames").unwrap();
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_database_of_version_3_keeps_its_facts_and_takes_solutions() {
     let folder = tempfile::tempdir().unwrap();

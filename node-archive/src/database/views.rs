@@ -19,10 +19,13 @@ macro_rules! root {
     };
 }
 
-/// The addition of version 12. `frames` has a row for each stored frame, `weather` one for each minute of each station, and
+/// Replaces the views of another Starmesh. `frames` has a row for each stored frame, `weather` one for each minute of each station, and
 /// `guiding_errors` one for each guided frame. A frame's scale is that of its solution, or the mean of its camera.
 pub(super) const SCHEMA: &str = concat!(
     "
+DROP VIEW IF EXISTS frames;
+DROP VIEW IF EXISTS weather;
+DROP VIEW IF EXISTS guiding_errors;
 CREATE VIEW guiding_errors AS
     WITH scales AS (
         SELECT telescope, camera_name, avg(scale_arcsec_px) AS mean_arcsec_px FROM facts
@@ -51,7 +54,8 @@ CREATE VIEW frames AS
         CAST(json_extract(frame, '$.exposure_s') AS REAL) AS exposure_s,
         facts.stars, facts.fwhm_px, CAST(facts.fwhm_px * facts.scale_arcsec_px AS REAL) AS fwhm_arcsec,
         facts.ellipticity, facts.sky_adu, facts.saturated_fraction, facts.ra_deg, facts.dec_deg, facts.scale_arcsec_px,
-        facts.off_target_arcmin, facts.airmass AS airmass_mid, facts.transparency, facts.zero_point_mag,
+        facts.off_target_arcmin, CAST(json_extract(facts.facts, '$.target_saturated') AS INTEGER) AS target_saturated,
+        facts.airmass AS airmass_mid, facts.transparency, facts.zero_point_mag,
         ",
     root!("ra2"),
     " AS guide_ra_rms_arcsec, ",

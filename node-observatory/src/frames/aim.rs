@@ -4,8 +4,8 @@ use contract::device::camera::Frame;
 use contract::device::telescope::{EquatorialSystem, Fields, PierSide};
 use contract::observatory::{Unsolved, UnsolvedClass};
 use contract::{Name, Reading};
-use imaging::Wcs;
 use imaging::solve::LearnedOptics;
+use imaging::{Star, Wcs};
 use sky::{Icrs, OfDate};
 use units::{Angle, Utc};
 
@@ -107,6 +107,15 @@ impl FrameAim {
         self.target.filter(|_| is_aside && self.place == self.target)
     }
 
+    /// The star of the target among those of a frame: the brightest within two of its own widths, or three pixels, of
+    /// the target's place.
+    pub fn target_star<'a>(&self, wcs: &Wcs, stars: &'a [Star]) -> Option<&'a Star> {
+        let target = self.target?;
+        let (x, y) = wcs.sky_to_pixel(target.ra, target.dec)?;
+        let is_there = |star: &&Star| (star.x_px - x).hypot(star.y_px - y) <= (2.0 * star.fwhm_px).max(3.0);
+        stars.iter().filter(is_there).max_by(|one, other| one.peak_adu.total_cmp(&other.peak_adu))
+    }
+
     /// How far the middle of the frame, which pointing brings there, is from the target: for a part of the sensor the
     /// middle of that part.
     pub fn off_target(&self, frame: &Frame, wcs: &Wcs) -> Option<Angle> {
@@ -206,6 +215,34 @@ mod tests {
         assert_eq!(aim.middle_px(&part), (999.5 - 1900.0, 499.5));
         assert_eq!(FrameAim::default().middle_px(&part), (49.5, 39.5));
         assert_eq!(FrameAim::default().off_middle_px(&part), 0.0);
+    }
+
+    #[test]
+    fn the_star_of_the_target_is_the_brightest_one_at_its_place() {
+        let target = Icrs::from_degrees(80.0, 60.0);
+        let s = 2.0 / 3600.0;
+        let wcs =
+            Wcs { ra: target.ra, dec: target.dec, x_px: 50.0, y_px: 40.0, cd_deg_px: [[-s, 0.0], [0.0, s]], sip: None };
+        let star = |x_px: f64, fwhm_px: f64, peak_adu: f64| Star {
+            x_px,
+            y_px: 40.0,
+            x_error_px: 0.01,
+            y_error_px: 0.01,
+            flux_adu: 1e5,
+            flux_error_adu: 400.0,
+            snr: 250.0,
+            significance: 200.0,
+            peak_adu,
+            fwhm_px,
+            ellipticity: 0.0,
+            angle_deg: 0.0,
+            flags: Default::default(),
+        };
+        let aim = FrameAim { target: Some(target), ..FrameAim::default() };
+        let peak = |stars: &[Star]| aim.target_star(&wcs, stars).map(|star| star.peak_adu);
+        assert_eq!(peak(&[star(80.0, 3.0, 65_535.0)]), None, "it is another star");
+        assert_eq!(peak(&[star(80.0, 3.0, 65_535.0), star(52.0, 1.2, 900.0), star(55.0, 3.0, 9_000.0)]), Some(9_000.0));
+        assert_eq!(FrameAim::default().target_star(&wcs, &[star(50.0, 3.0, 9.0)]), None, "there is no target");
     }
 
     #[test]

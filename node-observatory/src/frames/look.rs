@@ -83,6 +83,8 @@ fn place(measuring: &Measuring, looked: &mut Looked, unmatched: u32) -> Option<L
             }
             let observer = measuring.authority.observer(middle_of(frame)).ok();
             let lesson = solving::describe(facts, frame, solution, &aim, observer.as_ref());
+            let star = aim.target_star(&solution.wcs, &measured.stars);
+            facts.target_saturated = star.map(|star| star.flags.saturated);
             let best = optics::best_zero_point(&state, frame);
             let share = facts.zero_point_mag.zip(best).map(|(zero, best)| solving::transparency(zero, best));
             facts.transparency = share.and_then(measure::if_finite);

@@ -353,6 +353,7 @@ fn alert(kind: TriggerKind) -> AlertKind {
         TriggerKind::Clouds => AlertKind::StarsGone,
         TriggerKind::Trailing => AlertKind::StarsTrailed,
         TriggerKind::WrongField => AlertKind::WrongField,
+        TriggerKind::TargetSaturated => AlertKind::TargetSaturated,
     }
 }
 

@@ -1,4 +1,5 @@
-//! What the facts of several frames show together: the focus drifts, clouds come, the stars trail, the field is wrong.
+//! What the facts of several frames show together: the focus drifts, clouds come, the stars trail, the field is wrong, the
+//! target is too bright.
 //!
 //! Pure: frames with their facts in, active triggers out. Frames are compared only within a *run*: one camera and
 //! filter on one row of the schedule, with the same object, exposure time and binning, because another field has other
@@ -51,6 +52,8 @@ struct ComparableFrames {
     trailed: Option<Utc>,
     /// Start of the first of the frames of a wrong field that the run ends with.
     astray: Option<Utc>,
+    /// Start of the first of the frames with a saturated target that the run ends with.
+    too_bright: Option<Utc>,
     active: BTreeMap<TriggerKind, Trigger>,
 }
 
@@ -101,6 +104,7 @@ impl Triggers {
             (TriggerKind::FocusDrift, run.drift(at, facts)),
             (TriggerKind::Clouds, run.clouds(at, stars, facts)),
             (TriggerKind::WrongField, run.wrong_field(at, facts)),
+            (TriggerKind::TargetSaturated, run.target_saturated(at, facts)),
         ];
         for (kind, found) in found {
             match found {
@@ -132,6 +136,7 @@ impl ComparableFrames {
             counts: VecDeque::new(),
             trailed: None,
             astray: None,
+            too_bright: None,
             active: BTreeMap::new(),
         }
     }
@@ -167,6 +172,25 @@ impl ComparableFrames {
         let first = *self.astray.get_or_insert(at);
         let detail = format!("{off_arcmin:.1} arcmin off the target, with half of a side of {half_arcmin:.1} arcmin");
         (first < at).then_some((first, detail))
+    }
+
+    /// Two frames, one after the other, on which the target's star is saturated. A frame without a star there does not
+    /// count.
+    fn target_saturated(&mut self, at: Utc, facts: &FrameFacts) -> Option<(Utc, String)> {
+        let detail = || format!("the star of the target is saturated at {} s of exposure", self.exposure_s);
+        match facts.target_saturated {
+            Some(true) => {
+                let first = *self.too_bright.get_or_insert(at);
+                (first < at).then(|| (first, detail()))
+            }
+            Some(false) => {
+                self.too_bright = None;
+                None
+            }
+            None => {
+                self.active.get(&TriggerKind::TargetSaturated).map(|stands| (stands.since_utc, stands.detail.clone()))
+            }
+        }
     }
 
     /// The median width of the last frames that are believed against the least that as many had.

@@ -73,6 +73,9 @@ catalogue! {
     /// The guard closed the dome because nobody renewed its permission. The dome is safe; the night waits. The
     /// observatory node takes over again by itself when it runs and the sky is safe.
     DomeHeld: enclosure::DOME_HELD,
+    /// A device has not answered for a while: it, its driver or its Alpaca server hangs or is gone, or the network is. The cause
+    /// says what happens when it is asked.
+    DeviceLost: devices::DEVICE_LOST,
     /// What a device can do, or a part of its state, could not be read: it answers with an error or with nonsense. The cause
     /// names each property. They are asked for again and again; meanwhile nobody takes them for "no" or for 0.
     DeviceUnread: devices::DEVICE_UNREAD,
@@ -152,6 +155,9 @@ catalogue! {
     ArchiveHeaders: records::ARCHIVE_HEADERS,
     /// A person ordered that nothing opens.
     StayClosed: orders::STAY_CLOSED,
+    /// The observatory node does not know what people ordered before it began (their file is gone, or an earlier commander did
+    /// not send them), and stays closed until a person says that it may open.
+    OrdersLost: orders::ORDERS_LOST,
     /// A person has overridden one limit for a while.
     Override: orders::OVERRIDE,
     /// The stars of a camera grow wider from frame to frame, and not by the seeing of a moment: the middle of the last
@@ -182,6 +188,9 @@ catalogue! {
     /// A solved frame shows another field than that of its target: the middle of the sensor is farther from it than half the
     /// frame's shorter side. It ends with the next frame that is on target.
     WrongField: images::WRONG_FIELD,
+    /// Two frames in a row show the target's star with pixels as bright as the camera can count. Cleared by a frame on
+    /// which it is not.
+    TargetSaturated: images::TARGET_SATURATED,
     /// A part of `observatory.toml`, or of a file that it names, cannot be used as it stands. The node that needs it goes on
     /// without it, or tries it again, and everything else goes on.
     Configuration: network::CONFIGURATION,

@@ -95,6 +95,10 @@ pub struct FrameFacts {
     /// How far the middle of the frame, of a part of the sensor that of the part, is from the target, arcmin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub off_target_arcmin: Option<f64>,
+    /// A pixel of the star at the target's place is saturated, so that its flux is good for nothing; absent where no
+    /// star is there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target_saturated: Option<bool>,
     /// Side of the pier on which the frame was taken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pier_side: Option<PierSide>,
@@ -157,9 +161,12 @@ pub enum TriggerKind {
     Trailing,
     /// The frame shows another field than that of its target.
     WrongField,
+    /// The target's star is saturated: its light cannot be measured.
+    TargetSaturated,
 }
 
 impl TriggerKind {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::FocusDrift, Self::Clouds, Self::Trailing, Self::WrongField];
+    pub const ALL: [Self; 5] =
+        [Self::FocusDrift, Self::Clouds, Self::Trailing, Self::WrongField, Self::TargetSaturated];
 }

@@ -86,6 +86,6 @@ pub enum RowStatus {
     Finished,
     /// Tried and failed.
     Failed,
-    /// Its window passed before it could start.
+    /// Its window passed before it could start, or before it was done.
     Skipped,
 }

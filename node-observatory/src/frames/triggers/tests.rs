@@ -171,6 +171,18 @@ fn two_frames_off_target_are_a_wrong_field_until_one_is_on_target() {
 }
 
 #[test]
+fn two_frames_with_a_saturated_target_are_a_trigger_until_one_is_not() {
+    let target = |saturated| FrameFacts { target_saturated: saturated, ..facts(50, 3.0) };
+    let scenario = [Some(true), Some(false), Some(true), None, Some(true), None, Some(false), Some(true)].map(target);
+    let too_bright = Some(TriggerKind::TargetSaturated);
+    assert_eq!(
+        triggered(&scenario),
+        kinds(&[None, None, None, None, too_bright, too_bright, None, None]),
+        "a frame without a star there says nothing of it"
+    );
+}
+
+#[test]
 fn light_that_is_gone_is_clouds_even_where_stars_are_counted_and_thick_air_is_none() {
     let dim =
         |share: f64, airmass: f64| FrameFacts { transparency: Some(share), airmass: Some(airmass), ..facts(50, 3.0) };

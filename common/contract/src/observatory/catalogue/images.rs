@@ -72,6 +72,15 @@ pub(super) const WRONG_FIELD: AlertEntry = AlertEntry {
     ..PLAIN
 };
 
+pub(super) const TARGET_SATURATED: AlertEntry = AlertEntry {
+    word: "target-saturated",
+    instance: "CAMERA",
+    priority: Priority::Medium,
+    consequence: "The light of the target cannot be measured on these frames; they are taken and stored all the same.",
+    action: "Shorten the exposure of the row, defocus, or set `reduce_exposure_time` in it.",
+    ..PLAIN
+};
+
 pub(super) const FRAMES_UNMEASURED: AlertEntry = AlertEntry {
     word: "frames-unmeasured",
     instance: "CAMERA",
