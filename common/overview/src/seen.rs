@@ -241,7 +241,7 @@ mod tests {
         assert_eq!(
             now(night(false), verdict("safe", json!([]), json!([])), &[], orders),
             "ana has it since 2026-11-21 01:59:58 UTC; ana ordered at 2026-11-21 01:59:58 UTC that it stays closed (wet snow): \
-             starmesh order paranal/io open-again"
+             starmesh order paranal/io open-again --reason \"...\""
         );
     }
 
