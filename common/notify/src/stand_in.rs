@@ -34,8 +34,8 @@ const FIGURE: &str = "stands_in_after_s";
 ///
 /// Events that the silent node has sent are not sent again, and the node that returns receives the report of what this
 /// one sent. Of several nodes that stand in, those of the configured role come first, then those of the other one, since what
-/// ends the observatory node may end one role with it; of one role the node with the first name sends. Shared devices have no observatory node: for
-/// them a node that stands in always sends.
+/// ends the observatory node may end one role with it; of one role the node with the first name sends. Shared devices have no
+/// observatory node: for them a node that stands in always sends.
 ///
 /// # Errors
 ///

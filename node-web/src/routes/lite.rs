@@ -77,7 +77,9 @@ fn telescope(text: &mut String, Summary { face, ages }: &Summary) {
     let simulated = if face.simulated { ", simulation" } else { "" };
     let id = escaped(&face.id);
     let _ = write!(text, "<section class=\"card\"><h2>{id}</h2>");
-    if let Some(stopped) = face.stopped.as_ref().filter(|stopped| stopped.closed == Some(true)) {
+    // A device node that goes on may report that it stands open again.
+    let is_quiet = face.alerts.is_empty() && face.domes.is_empty();
+    if let Some(stopped) = face.stopped.as_ref().filter(|stopped| stopped.closed == Some(true) && is_quiet) {
         let _ = write!(text, "<p>{}, {age}</p></section>", escaped(&stopped.text));
         return;
     }
@@ -140,5 +142,23 @@ mod tests {
         assert!(runs.contains("<code>starmesh order paranal/callisto close</code>"), "{runs}");
         let stopped = page(json!({"by": "starmesh up on pc", "closed": true}));
         assert!(stopped.contains("stopped by starmesh up on pc, closed") && !stopped.contains("UNKNOWN"), "{stopped}");
+    }
+
+    #[test]
+    fn what_a_device_node_goes_on_to_report_of_a_telescope_that_was_stopped_is_shown() {
+        let address = Address { site: "paranal".parse().unwrap(), telescope: "callisto".parse().unwrap() };
+        let network = Network::new(Clock::machine_clock(), address);
+        let state = |role: &str, stopped| json!({"role": role, "version": "", "host": "pc", "pid": 1, "uptime_s": 1.0, "speed": 1.0, "stopped": stopped});
+        let alert = json!({"alerts": [{"id": "a", "priority": "critical", "raised_utc": "2026-11-21T03:00:00Z",
+            "cause": "it is half open", "consequence": "c", "action": "d"}]});
+        for (key, body) in [
+            ("node/observatory/main", state("observatory", json!({"by": "starmesh up on pc", "closed": true}))),
+            ("node/device/enclosure", state("device", serde_json::Value::Null)),
+            ("observatory/alerts", alert),
+        ] {
+            network.accept(received(&format!("paranal/callisto/{key}/state"), "b1", 1, 0, body));
+        }
+        let page = html(network.summaries().iter(), "now");
+        assert!(page.contains("stopped by starmesh up on pc, closed") && page.contains("it is half open"), "{page}");
     }
 }
