@@ -2,23 +2,18 @@
 // The page comes from a real web node; what the server says over the socket is written here.
 import { test, before, after, beforeEach } from "node:test";
 import assert from "node:assert/strict";
-import { mkdtempSync, rmSync } from "node:fs";
-import { tmpdir } from "node:os";
-import { join } from "node:path";
-import { TEST, configure, end, launch, newPage, startWebNode } from "./browser.js";
+import { TEST, launch, newPage, startAlone } from "./browser.js";
 
-let node, browser, page, url, folder;
+let alone, browser, page;
 
 before(async () => {
-  folder = mkdtempSync(join(tmpdir(), "starmesh-broken-"));
-  ({ node, url } = await startWebNode(configure(folder)));
+  alone = await startAlone();
   browser = await launch();
 }, TEST);
 
 after(async () => {
   await browser?.close();
-  await end(node, "SIGTERM");
-  rmSync(folder, { recursive: true, force: true });
+  await alone?.end();
 }, TEST);
 
 const summary = (telescope, change = {}) => ({
@@ -77,7 +72,7 @@ beforeEach(async () => {
   server = new Server();
   server.tell(summary("io"), summary("europa"));
   await server.serve(page);
-  await page.goto(`${url}/`);
+  await page.goto(`${alone.url}/`);
   await tile("io", SAFE).waitFor();
 }, TEST);
 

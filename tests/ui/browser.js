@@ -107,17 +107,21 @@ export async function startWebNode(file, at = 0) {
 
 export const PASSWORD = "four plain words here";
 
-/** A web node that knows one person, `ana` with [`PASSWORD`]: `{ url, file, end }`. */
-export async function startWithUser(right) {
-  const folder = mkdtempSync(join(tmpdir(), "starmesh-user-"));
+/** A web node with nothing around it, once `prepare(file)` has seen its configuration: `{ url, file, end }`. */
+export async function startAlone(prepare = (_) => {}) {
+  const folder = mkdtempSync(join(tmpdir(), "starmesh-alone-"));
   const file = configure(folder);
-  execFileSync(binary, ["user", "add", "ana", "--right", right, "--password-file", "-", "--config", file], { input: `${PASSWORD}\n` });
+  prepare(file);
   const { node, url } = await startWebNode(file);
   return { url, file, end: async () => {
     await end(node, "SIGTERM");
     rmSync(folder, { recursive: true, force: true });
   } };
 }
+
+/** A web node that knows one person, `ana` with [`PASSWORD`]: `{ url, file, end }`. */
+export const startWithUser = (right) => startAlone((file) =>
+  execFileSync(binary, ["user", "add", "ana", "--right", right, "--password-file", "-", "--config", file], { input: `${PASSWORD}\n` }));
 
 /**
  * A web node on a recorded bus: `{ url, put, now, events, raw, orders, reset, end }`. The night of the telescope `demo/alpha` is played again

@@ -2,31 +2,26 @@
 // passes draws ages and nothing else.
 import { test, before, after, beforeEach, afterEach } from "node:test";
 import assert from "node:assert/strict";
-import { mkdtempSync, rmSync } from "node:fs";
-import { tmpdir } from "node:os";
-import { join } from "node:path";
 import { serveFifty } from "./fifty.js";
-import { TEST, configure, end, launch, looks, newPage, problemsOf, startWebNode, tooWide } from "./browser.js";
+import { TEST, launch, looks, newPage, problemsOf, startAlone, tooWide } from "./browser.js";
 
-let node, browser, page, url, folder, server, problems;
+let alone, browser, page, server, problems;
 
 before(async () => {
-  folder = mkdtempSync(join(tmpdir(), "starmesh-fifty-"));
-  ({ node, url } = await startWebNode(configure(folder)));
+  alone = await startAlone();
   browser = await launch();
 }, TEST);
 
 after(async () => {
   await browser?.close();
-  await end(node, "SIGTERM");
-  rmSync(folder, { recursive: true, force: true });
+  await alone?.end();
 }, TEST);
 
 beforeEach(async () => {
   page = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 900 } });
   problems = problemsOf(page);
   server = await serveFifty(page);
-  await page.goto(url);
+  await page.goto(alone.url);
   await page.locator('[data-testid="tile"]').nth(49).waitFor();
 }, TEST);
 
