@@ -126,13 +126,11 @@ impl HeaderFacts<'_> {
 
     /// No pixel of a file is above what its numbers can hold.
     fn saturation(&self) -> Option<f64> {
-        let clips_adu = self.positive(Kind::Camera, "MaxADU").map(|most| match self.frame.pixel {
-            Pixel::U16 => most.min(f64::from(u16::MAX)),
-            _ => most,
-        });
+        let holds_adu = if self.frame.pixel == Pixel::U16 { f64::from(u16::MAX) } else { f64::INFINITY };
+        let given = self.sensor.saturation_adu.map(|adu| adu.min(holds_adu));
         // Clipped pixels have the driver's largest value, or a little less once a bias is taken off: programs that look for
         // what is above the keyword would see none of them.
-        self.sensor.saturation_adu.or_else(|| clips_adu.map(|most| (CLIPPED * most).floor()))
+        given.or_else(|| Some((CLIPPED * self.positive(Kind::Camera, "MaxADU")?.min(holds_adu)).floor()))
     }
 
     /// A coordinate of the site in the Earth's frame, m.

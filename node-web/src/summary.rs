@@ -133,6 +133,13 @@ pub struct StoppedTelescope {
     pub closed: Option<bool>,
 }
 
+impl StoppedTelescope {
+    /// Everything that closes was verified closed, so that its silence is no fault.
+    pub fn is_closed(&self) -> bool {
+        self.closed == Some(true)
+    }
+}
+
 /// The verdict as the page shows it.
 #[derive(Debug, Clone, PartialEq, JsonSchema, Serialize)]
 pub struct Safety {
@@ -293,9 +300,10 @@ impl Summary {
         });
         let names = domes.iter().filter(|view| view.dome.address != *address).map(|view| &view.dome.name);
         let stopped = stopped_telescope(telescope);
-        let is_stopped_closed = stopped.as_ref().is_some_and(|stopped| stopped.closed == Some(true));
+        let is_stopped_closed = stopped.as_ref().is_some_and(StoppedTelescope::is_closed);
+        let nodes = nodes(telescope, now);
         // What the nodes reported last is over, and nothing stands open; a device node that goes on may report that again.
-        let is_over = is_stopped_closed && nodes(telescope, now).iter().all(|node| node.state.ended_well());
+        let is_over = is_stopped_closed && nodes.iter().all(|node| node.state.ended_well());
         let alerts = if is_over {
             Vec::new()
         } else {
@@ -349,9 +357,7 @@ impl Summary {
             alert_counts: Counts::of(&alerts),
             alerts,
             device_count: devices(telescope, now),
-            node_count: heads(
-                nodes(telescope, now).iter().map(|node| node.quality >= Quality::Lost && !node.state.ended_well()),
-            ),
+            node_count: heads(nodes.iter().map(|node| node.quality >= Quality::Lost && !node.state.ended_well())),
             unreadable: telescope.unreadable(now),
             image: image.and_then(|image| {
                 let frame = Frame::deserialize(image.frame.as_ref()).ok()?;

@@ -1,7 +1,10 @@
 //! Names, addresses and ports of hosts, as a configuration may write them.
 
-/// Is this a host and a port? Says what is wrong with it.
-pub(crate) fn host_port(text: &str) -> Result<(), String> {
+/// Is this a host and a port?
+///
+/// # Errors
+/// What is wrong with it, and what to do.
+pub fn host_port(text: &str) -> Result<(), String> {
     if let Some((scheme, rest)) = text.split_once("://") {
         return Err(format!("leave \"{scheme}://\" away: {}", rest.trim_end_matches('/')));
     }

@@ -69,6 +69,7 @@ pub use focusing::{Approach, Focusing, OnDrift};
 pub use guide_calibration::GuideStart;
 pub use guiding::{Gains, GuideControl, Guiding, WhenLost};
 pub use hooks::Hooks;
+pub use host::host_port;
 pub use imaging::Imaging;
 pub use names::Names;
 pub use nearest::{distance, meant, nearest};

@@ -84,10 +84,7 @@ impl Letter {
         };
         let is_bad = self.news.iter().any(|news| news.event == AlertEvent::Raised);
         let text = self.text(address, None);
-        let mut end = text.len().min(MOST_BYTES_NTFY);
-        while !text.is_char_boundary(end) {
-            end -= 1;
-        }
+        let end = text.floor_char_boundary(MOST_BYTES_NTFY);
         let cut = if end < text.len() { " ..." } else { "" };
         let mut message = json!({
             "topic": topic,

@@ -19,8 +19,8 @@ macro_rules! root {
     };
 }
 
-/// Replaces the views of another Starmesh. `frames` has a row for each stored frame, `weather` one for each minute of each station, and
-/// `guiding_errors` one for each guided frame. A frame's scale is that of its solution, or the mean of its camera.
+/// Replaces the views of another Starmesh. `frames` has a row for each stored frame, `weather` one for each minute of each
+/// station, and `guiding_errors` one for each guided frame. A frame's scale is that of its solution, or the mean of its camera.
 pub(super) const SCHEMA: &str = concat!(
     "
 DROP VIEW IF EXISTS frames;

@@ -471,6 +471,9 @@ fn gain_noise_and_saturation_are_the_drivers_or_the_configurations() {
         assert_eq!((&cards["GAIN"], &cards["RDNOISE"]), (&CardValue::Float(0.8), &CardValue::Float(2.5)));
         assert_eq!((&cards["SATURATE"], unknown_of_sensor(&present(&cards))), (&CardValue::Float(50_000.0), vec![]));
     }
+    let beyond = Sensor { saturation_adu: Some(100_000.0), ..Sensor::default() };
+    let cards = with(beyond, &driver, &HeaderTable::default());
+    assert_eq!(cards["SATURATE"], CardValue::Float(65_535.0), "the file holds no more");
     // Drivers report 0 for what they do not know.
     let zeros = |_: Kind, _: &str| Some(Scalar::Int(0));
     let cards = with(Sensor::default(), &zeros, &HeaderTable::default());

@@ -141,6 +141,11 @@ impl ComparableFrames {
         }
     }
 
+    /// A trigger as it is, for a frame that says nothing of it.
+    fn standing(&self, kind: TriggerKind) -> Option<(Utc, String)> {
+        self.active.get(&kind).map(|trigger| (trigger.since_utc, trigger.detail.clone()))
+    }
+
     /// Two trailed frames, one after the other.
     fn trailing(&mut self, at: Utc, facts: &FrameFacts) -> Option<(Utc, String)> {
         if facts.trailed != Some(true) {
@@ -161,8 +166,7 @@ impl ComparableFrames {
     /// that is not solved does not count.
     fn wrong_field(&mut self, at: Utc, facts: &FrameFacts) -> Option<(Utc, String)> {
         let Some((off_arcmin, scale)) = facts.off_target_arcmin.zip(facts.scale_arcsec_px) else {
-            let stands = self.active.get(&TriggerKind::WrongField);
-            return stands.map(|trigger| (trigger.since_utc, trigger.detail.clone()));
+            return self.standing(TriggerKind::WrongField);
         };
         let half_arcmin = 0.5 * f64::from(self.field.size_px[0].min(self.field.size_px[1])) * scale / 60.0;
         if off_arcmin <= half_arcmin {
@@ -177,19 +181,17 @@ impl ComparableFrames {
     /// Two frames, one after the other, on which the target's star is saturated. A frame without a star there does not
     /// count.
     fn target_saturated(&mut self, at: Utc, facts: &FrameFacts) -> Option<(Utc, String)> {
-        let detail = || format!("the star of the target is saturated at {} s of exposure", self.exposure_s);
         match facts.target_saturated {
             Some(true) => {
                 let first = *self.too_bright.get_or_insert(at);
-                (first < at).then(|| (first, detail()))
+                let detail = format!("the star of the target is saturated at {} s of exposure", self.exposure_s);
+                (first < at).then_some((first, detail))
             }
             Some(false) => {
                 self.too_bright = None;
                 None
             }
-            None => {
-                self.active.get(&TriggerKind::TargetSaturated).map(|stands| (stands.since_utc, stands.detail.clone()))
-            }
+            None => self.standing(TriggerKind::TargetSaturated),
         }
     }
 

@@ -174,7 +174,7 @@ impl Runner {
             let taken = self.tools.journal.progress(&row.id).taken;
             let detail = passed_words(*status, taken);
             tracing::info!(row = index, action = row.action.name(), detail, "skipped");
-            self.postponed.remove(&row.id.clone(), &self.tools.authority.node.alerts);
+            self.postponed.remove(&row.id, &self.tools.authority.node.alerts);
             self.sequence.set(index, RowStatus::Skipped);
             self.show(index, RowStatus::Skipped, detail);
         }

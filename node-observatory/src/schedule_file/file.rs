@@ -107,22 +107,8 @@ fn take(
 ) -> Option<(String, usize)> {
     let alerts = &file.authority.node.alerts;
     let path = file.authority.node.config.schedule.file.display();
-    let read = match read {
-        // It is written later, or put by an order.
-        Ok(None) if loaded.borrow().rows.is_empty() => {
-            tracing::info!(file = %path, "there is no schedule yet");
-            alerts.clear(AlertKind::ScheduleRefused, "");
-            loaded.send_modify(|loaded| loaded.refused = None);
-            return None;
-        }
-        Ok(None) => {
-            Err(format!("{path}: cannot be read: the file is gone; the rows that were read last stay in force"))
-        }
-        Ok(Some(read)) => Ok(read),
-        Err(why) => Err(why),
-    };
-    match read {
-        Ok((text, rows)) => {
+    let why = match read {
+        Ok(Some((text, rows))) => {
             alerts.clear(AlertKind::ScheduleRefused, "");
             let (count, sha256) = (rows.len(), sha256(&text));
             loaded.send_modify(|loaded| {
@@ -132,14 +118,21 @@ fn take(
                 loaded.sha256 = sha256;
                 loaded.refused = None;
             });
-            Some((text, count))
+            return Some((text, count));
         }
-        Err(why) => {
-            alerts.raise(AlertKind::ScheduleRefused, "", &why);
-            loaded.send_modify(|loaded| loaded.refused = Some(why));
-            None
+        // It is written later, or put by an order.
+        Ok(None) if loaded.borrow().rows.is_empty() => {
+            tracing::info!(file = %path, "there is no schedule yet");
+            alerts.clear(AlertKind::ScheduleRefused, "");
+            loaded.send_modify(|loaded| loaded.refused = None);
+            return None;
         }
-    }
+        Ok(None) => format!("{path}: cannot be read: the file is gone; the rows that were read last stay in force"),
+        Err(why) => why,
+    };
+    alerts.raise(AlertKind::ScheduleRefused, "", &why);
+    loaded.send_modify(|loaded| loaded.refused = Some(why));
+    None
 }
 
 /// Keeps a text as a version, unless it is the newest already; returns it again where the disk fails.

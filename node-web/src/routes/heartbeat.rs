@@ -25,7 +25,7 @@ use crate::json_body::AskedFor;
 use crate::model::{Model, Telescope};
 use crate::problem::Problem;
 use crate::server::Server;
-use crate::summary::{Mode, SafetyWord, Summary};
+use crate::summary::{Mode, SafetyWord, StoppedTelescope, Summary};
 
 /// One document serves all clients that ask within this time.
 const VALID_FOR: Duration = Duration::from_millis(250);
@@ -133,8 +133,7 @@ fn one(
         .partition(|alert| alert.returned_utc.is_some());
     let mut errors: Vec<Value> = active.into_iter().map(describe).collect();
     let returned: Vec<Value> = returned.into_iter().map(describe).collect();
-    let is_stopped_closed = face.stopped.as_ref().is_some_and(|stopped| stopped.closed == Some(true));
-    if stale && !is_stopped_closed {
+    if stale && !face.stopped.as_ref().is_some_and(StoppedTelescope::is_closed) {
         let error = match &face.stopped {
             Some(stopped) => format!("stale: {}", stopped.text),
             None => {

@@ -79,7 +79,7 @@ fn telescope(text: &mut String, Summary { face, ages }: &Summary) {
     let _ = write!(text, "<section class=\"card\"><h2>{id}</h2>");
     // A device node that goes on may report that it stands open again.
     let is_quiet = face.alerts.is_empty() && face.domes.is_empty();
-    if let Some(stopped) = face.stopped.as_ref().filter(|stopped| stopped.closed == Some(true) && is_quiet) {
+    if let Some(stopped) = face.stopped.as_ref().filter(|stopped| stopped.is_closed() && is_quiet) {
         let _ = write!(text, "<p>{}, {age}</p></section>", escaped(&stopped.text));
         return;
     }

@@ -67,11 +67,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     }
     let mut found: Vec<Found> = Vec::new();
     for server in &options.server {
-        let port = server.rsplit_once(':').and_then(|(host, port)| (!host.contains('/')).then_some(port));
-        ensure!(
-            port.is_some_and(|port| port.parse::<u16>().is_ok()),
-            "--server {server}: expected HOST:PORT, such as 192.168.1.5:11111"
-        );
+        config::host_port(server).map_err(|why| anyhow::anyhow!("--server {server}: expected HOST:PORT; {why}"))?;
         match discovery::configured_devices(server).await {
             Ok(devices) => found.extend(devices),
             Err(error) => bail!("--server {server}: it does not list its devices: {error}"),
@@ -128,7 +124,7 @@ fn command_for_server(options: &Options) -> String {
 /// A path as a shell takes it.
 fn for_shell(path: &Path) -> String {
     let path = path.display().to_string();
-    let is_plain = |c: char| c.is_alphanumeric() || "/._-+@%=:,\\".contains(c);
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+@%=:,".contains(c) || c == std::path::MAIN_SEPARATOR;
     if path.chars().all(is_plain) { path } else { format!("'{}'", path.replace('\'', "'\\''")) }
 }
 
