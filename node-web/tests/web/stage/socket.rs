@@ -42,16 +42,24 @@ impl Socket {
         serde_json::from_slice(&text).unwrap()
     }
 
-    pub async fn until(&mut self, wanted: impl Fn(&Value) -> bool) -> Value {
-        let looked = async {
-            loop {
-                let message = self.recv().await;
-                if wanted(&message) {
-                    return message;
+    /// Waits for a message that is as wanted; those before it are in the failure, but for beats.
+    #[track_caller]
+    pub fn until(&mut self, wanted: impl Fn(&Value) -> bool) -> impl Future<Output = Value> {
+        let line = std::panic::Location::caller().line();
+        async move {
+            let mut passed = Vec::new();
+            let looked = async {
+                loop {
+                    let message = self.recv().await;
+                    if wanted(&message) {
+                        return message;
+                    }
+                    passed.extend((message["op"] != "beat").then(|| message.to_string()));
                 }
-            }
-        };
-        tokio::time::timeout(LIMIT, looked).await.unwrap()
+            };
+            let found = tokio::time::timeout(LIMIT, looked).await.ok();
+            found.unwrap_or_else(|| panic!("line {line}: not among {passed:#?}"))
+        }
     }
 
     /// The code with which the server closes it; what it sends before is passed over.
