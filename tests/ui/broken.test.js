@@ -2,7 +2,7 @@
 // The page comes from a real web node; what the server says over the socket is written here.
 import { test, before, after, beforeEach } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, launch, newPage, startAlone } from "./browser.js";
+import { TEST, becomes, launch, newPage, startAlone } from "./browser.js";
 
 let alone, browser, page;
 
@@ -81,7 +81,7 @@ after(() => server?.stop());
 test("a tile that cannot be drawn is red and says so, and the others go on", TEST, async () => {
   server.tell(summary("io", { unreadable: [null] }));
   await page.locator('[data-broken="io"]').waitFor();
-  assert.equal(await tile("io").count(), 0, "its old word is gone");
+  await becomes(() => tile("io").count(), 0, "its old word is gone");
   await tile("europa", SAFE).waitFor();
   server.tell(summary("io"));
   await tile("io", SAFE).waitFor();
@@ -107,7 +107,7 @@ test("a message that cannot be read ends the link, and nothing is shown as safe"
   server.refuses = true;
   server.send("{ this is no JSON");
   await page.locator('body[data-link="lost"] [data-testid="link-lost"]').waitFor();
-  assert.equal(await page.locator(SAFE).count(), 0);
+  await becomes(() => page.locator(SAFE).count(), 0, "tiles that say safe");
   assert.equal(await tile("io").count(), 1, "it is shown, as what it was");
   // it connects again and gets a whole picture
   server.refuses = false;
@@ -117,7 +117,7 @@ test("a message that cannot be read ends the link, and nothing is shown as safe"
 test("a page that no longer draws is hidden behind a red bar", TEST, async () => {
   await page.evaluate(() => import("/assets/store.js").then(({ tick }) => Object.defineProperty(tick, "value", { get() { throw new Error("it no longer draws"); } })));
   await page.locator("#broken").waitFor();
-  assert.equal(await tile("io").isVisible(), false, "the old SAFE is not to be seen");
+  await tile("io").waitFor({ state: "hidden" });
   await page.waitForFunction(() => document.title.startsWith("BROKEN"));
 });
 

@@ -7,6 +7,7 @@ import net from "node:net";
 import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
+import { isDeepStrictEqual, inspect } from "node:util";
 import { chromium } from "playwright-core";
 
 const root = join(import.meta.dirname, "../..");
@@ -25,12 +26,27 @@ export const launch = () =>
       "--disable-component-update", "--disable-sync"],
   });
 
-/** A page whose waits end when something hangs, and not before. What a service worker asks for no test could replace, so there is none unless it is asked for. */
+/** A page whose waits end when something hangs, and not before; `UI_SLOWER` says how many times slower it runs, which shows what a test takes for done too early. What a service worker asks for no test could replace, so there is none unless it is asked for. */
 export async function newPage(browser, options = {}) {
   const page = await browser.newPage({ serviceWorkers: "block", ...options });
   page.setDefaultTimeout(LIMIT);
+  if (process.env.UI_SLOWER) await (await page.context().newCDPSession(page)).send("Emulation.setCPUThrottlingRate", { rate: Number(process.env.UI_SLOWER) });
   return page;
 }
+
+/** Waits until `read()` gives what is wanted, a value or what a function says yes to, and gives that. A page draws when it comes to it, so no test asks it just once. */
+export async function becomes(read, wanted, told = "") {
+  const met = typeof wanted === "function" ? wanted : (found) => isDeepStrictEqual(found, wanted);
+  for (const end = Date.now() + LIMIT; ;) {
+    const found = await read();
+    if (met(found)) return found;
+    assert.ok(Date.now() < end, `${told || "it never becomes so"}: ${inspect(found)}${typeof wanted === "function" ? "" : ` is not ${inspect(wanted)}`}`);
+    await new Promise((resolve) => { setTimeout(resolve, 50); });
+  }
+}
+
+/** The address that a page shows. */
+export const addressOf = (page) => { const { pathname, searchParams } = new URL(page.url()); return { pathname, ...Object.fromEntries(searchParams) }; };
 
 /** For writing the page: before a web node, its files as they are on the disk now, without building the program. Gives the address. */
 async function fromDisk(node, url, at) {
@@ -186,7 +202,7 @@ export async function settled(page) {
   await page.locator('body[data-link="live"]').waitFor();
   await page.waitForFunction(() => {
     const main = document.querySelector("main");
-    return main?.textContent && !/Reading |reading …|Connecting …/.test(main.textContent);
+    return main?.textContent && !/Reading |reading …|Connecting …|Loading …/.test(main.textContent);
   });
 }
 

@@ -1,7 +1,7 @@
 // Closing is two touches away on every page of a telescope, and sends one order; a hold that is let go sends none.
 import { test, before, after, beforeEach } from "node:test";
 import assert from "node:assert/strict";
-import { LIMIT, TEST, launch, namesOf, newPage, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, launch, namesOf, newPage, settled, startRecorded } from "./browser.js";
 
 let bus, browser, page;
 
@@ -20,14 +20,10 @@ after(async () => {
 
 beforeEach(() => bus.reset());
 
-/** Waits until the telescope was asked something, and gives all orders. */
+/** Waits until the telescope was asked something, and gives all orders; one that was asked again, since its answer took long, is one. */
 async function orders() {
-  for (const until = Date.now() + LIMIT; Date.now() < until;) {
-    const asked = await bus.orders();
-    if (asked.length) return asked;
-    await new Promise((resolve) => setTimeout(resolve, 100));
-  }
-  throw new Error("the telescope was asked nothing");
+  const asked = await becomes(bus.orders, (all) => all.length, "the telescope is asked something");
+  return [...new Map(asked.map((order) => [order.id, order])).values()];
 }
 
 for (const [width, height] of [[1280, 900], [390, 844]]) {
@@ -39,8 +35,7 @@ for (const [width, height] of [[1280, 900], [390, 844]]) {
         await page.goto(`${bus.url}/t/demo/alpha${name === "now" ? "" : `/${name}`}`);
         await settled(page);
         const button = page.locator('[data-testid="close"]:visible').first();
-        const box = await button.boundingBox();
-        assert.ok(box.y >= 0 && box.y + box.height <= height, "it is in view without scrolling");
+        await becomes(() => button.boundingBox(), (box) => box && box.y >= 0 && box.y + box.height <= height, "it is in view without scrolling");
         await button.click();
         await page.locator('[data-testid="close-now"]').click();
         const asked = await orders();
@@ -61,7 +56,7 @@ test("the dialog has its focus on Close, Enter closes, and Escape sends nothing 
   await page.locator('[data-testid="close-now"]:focus').waitFor();
   await page.keyboard.press("Escape");
   await page.locator("dialog").waitFor({ state: "detached" });
-  assert.equal(await button.evaluate((one) => one === document.activeElement), true, "the focus is where it was");
+  await becomes(() => button.evaluate((one) => one === document.activeElement), true, "the focus is where it was");
   await page.keyboard.press("Enter");
   await page.locator('[data-testid="close-now"]:focus').waitFor();
   await page.keyboard.press("Enter");
@@ -76,7 +71,8 @@ test("an order towards the sky is held to its end; let go before, it sends nothi
   const hold = page.locator("dialog .hold");
   await page.locator("dialog input[name=reason]").fill("the sky is clear");
   // From here the page's time goes on only when it is told to.
-  await page.clock.pauseAt((await page.evaluate(() => Date.now())) + 2000);
+  const pause = async () => page.clock.pauseAt((await page.evaluate(() => Date.now())) + 2000).then(() => true, (error) => error);
+  await becomes(pause, true, "the page's clock stands, unless 2 s passed meanwhile");
   await hold.dispatchEvent("pointerdown");
   await page.clock.runFor(1400);
   await hold.dispatchEvent("pointerup");

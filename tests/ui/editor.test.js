@@ -1,7 +1,7 @@
 // A row of a schedule by its form, made from the action's schema: it becomes a line of the draft, and a line becomes the form again.
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, launch, newPage, problemsOf, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, launch, newPage, problemsOf, settled, startRecorded } from "./browser.js";
 
 let bus, browser, page, problems;
 
@@ -24,7 +24,7 @@ const draft = () => page.getByLabel("Schedule, one row a line").inputValue();
 const lines = (text) => text.split("\n").filter((line) => line.trim().startsWith("{"));
 
 test("a row is added by its form, with numbers as numbers and nothing that was left empty", TEST, async () => {
-  const before = lines(await draft()).length;
+  const before = await becomes(async () => lines(await draft()).length, (count) => count > 0, "the draft has the rows of the schedule");
   await page.locator('[data-testid="add-row"]').click();
   const form = page.locator('[data-testid="row-form"]');
   await form.getByLabel("Action").selectOption("object");
@@ -34,8 +34,7 @@ test("a row is added by its form, with numbers as numbers and nothing that was l
   await form.getByLabel("Until, UTC").fill("2026-11-28 04:00:00");
   await form.getByRole("button", { name: "Put it into the draft" }).click();
   await form.waitFor({ state: "detached" });
-  const after = lines(await draft());
-  assert.equal(after.length, before + 1);
+  const after = await becomes(async () => lines(await draft()), (all) => all.length === before + 1, "one row more");
   const row = after.map((line) => JSON.parse(line)).find((one) => one.action_value?.object === "TOI-700");
   assert.deepEqual(row.action_value, { object: "TOI-700", exptime: 30.5 });
   assert.deepEqual([row.action_type, row.start_time, row.end_time], ["object", "2026-11-28 03:00:00", "2026-11-28 04:00:00"]);
@@ -50,13 +49,13 @@ test("the line of the cursor is changed by the form, and what the form does not 
   await area.press("ArrowRight");
   await page.locator('[data-testid="change-row"]', { hasText: `Change line ${at + 1}` }).click();
   const form = page.locator('[data-testid="row-form"]');
-  assert.equal(await form.getByLabel("Exptime", { exact: true }).inputValue(), "30.5");
+  await becomes(() => form.getByLabel("Exptime", { exact: true }).inputValue(), "30.5");
   await form.getByLabel("Exptime", { exact: true }).fill("60");
   await form.locator("summary").click();
   await form.getByLabel("N", { exact: true }).fill("12");
   await form.getByRole("button", { name: "Change the line" }).click();
   await form.waitFor({ state: "detached" });
-  const now = (await draft()).split("\n");
+  const now = (await becomes(draft, (changed) => changed !== text, "the line is changed")).split("\n");
   assert.equal(now.length, text.split("\n").length);
   assert.deepEqual(JSON.parse(now[at]).action_value, { object: "TOI-700", exptime: 60, n: 12 });
   // That there is no draft yet is answered as 404.

@@ -3,7 +3,7 @@
 import { test, before, after, beforeEach, afterEach } from "node:test";
 import assert from "node:assert/strict";
 import { serveFifty } from "./fifty.js";
-import { TEST, launch, looks, newPage, problemsOf, startAlone, tooWide } from "./browser.js";
+import { TEST, becomes, launch, looks, newPage, problemsOf, startAlone, tooWide } from "./browser.js";
 
 let alone, browser, page, server, problems;
 
@@ -34,7 +34,10 @@ const WORST = ["san-pedro/taygete", "paranal/ananke31", "sutherland/amalthea44"]
 const ids = (selector, name) => page.locator(selector).evaluateAll((all, attribute) => all.map((one) => one.getAttribute(attribute)), name);
 const tiles = () => ids('[data-testid="tile"]', "data-telescope");
 const rows = () => ids('[data-testid="row"]', "data-of");
-const press = (name) => page.getByRole("button", { name, exact: true }).click();
+async function press(name) {
+  await page.getByRole("button", { name, exact: true }).click();
+  await page.getByRole("button", { name, exact: true, pressed: true }).waitFor();
+}
 
 /** How often each component is drawn by a second that passes, or by a change of the summary of `id`. */
 const drawnBy = (id = null, change = {}) => page.evaluate(async ([name, more]) => {
@@ -51,18 +54,18 @@ const drawnBy = (id = null, change = {}) => page.evaluate(async ([name, more]) =
 }, /** @type {const} */ ([id, change]));
 
 test("worst first in tiles, night and table; only those that need somebody are whole cards", TEST, async () => {
-  assert.deepEqual((await tiles()).slice(0, 3), WORST);
-  assert.deepEqual((await rows()).slice(0, 3), WORST);
-  assert.equal(new Set(await tiles()).size, 50);
-  assert.equal((await rows()).length, 50);
+  for (const all of [tiles, rows]) {
+    await becomes(async () => (await all()).slice(0, 3), WORST);
+    await becomes(async () => new Set(await all()).size, 50);
+  }
   await page.locator('[data-testid="nights"]').scrollIntoViewIfNeeded();
   await page.locator('[data-testid="night-line"]').nth(49).waitFor();
-  assert.deepEqual((await ids('[data-testid="night-line"]', "data-of")).slice(0, 3), WORST);
+  await becomes(async () => (await ids('[data-testid="night-line"]', "data-of")).slice(0, 3), WORST);
   const heights = await page.locator('[data-testid="tile"]').evaluateAll((all) => all.map((one) => one.getBoundingClientRect().height));
   assert.ok(heights.slice(0, 3).every((height) => height > 150) && heights.slice(3).every((height) => height < 60), String(heights));
   await press("Need you 3");
-  assert.deepEqual(await tiles(), WORST);
-  assert.match(await page.locator('[data-testid="lede"]').textContent(), /^taygete, ananke31 need you now\. amalthea44 needs you tonight\./);
+  await becomes(tiles, WORST);
+  await page.locator('[data-testid="lede"]', { hasText: /^taygete, ananke31 need you now\. amalthea44 needs you tonight\./ }).waitFor();
 });
 
 test("in no view and at no width does a part cover another, and the page does not scroll sideways", TEST, async () => {
@@ -97,8 +100,9 @@ test("a second that passes draws ages; what one telescope does draws its own par
   for (const name of ["Tile", "Row", "Table", "All", "Line", "Nights", "Network", "Rail", "Lede"]) assert.equal(least(seconds, name), 0, name);
   const [id] = WORST;
   const tile = page.locator(`[data-testid="tile"][data-telescope="${id}"]`);
-  const changed = await drawnBy(id, { frames: 9999 });
-  assert.deepEqual([changed.Tile, changed.Row], [1, 1]);
+  const changes = [];
+  for (let i = 0; i < 4; i += 1) changes.push(await drawnBy(id, { frames: 9996 + i }));
+  assert.deepEqual([least(changes, "Tile"), least(changes, "Row")], [1, 1]);
   await tile.getByText("9999").waitFor();
 });
 
@@ -107,8 +111,8 @@ test("a telescope that falls silent is told without a message of it, and the oth
   server.silent.add("teide/callisto43");
   await page.locator('[data-testid="tile"][data-telescope="teide/callisto43"][data-quality="lost"]').waitFor();
   await page.locator('[data-testid="row"][data-of="teide/callisto43"][data-quality="lost"]').waitFor();
-  assert.ok((await tiles()).indexOf("teide/callisto43") < (await tiles()).indexOf(third), "it needs somebody more than what is medium");
-  assert.equal(await page.locator('[data-testid="tile"][data-quality="fresh"]').count(), 49);
+  await becomes(tiles, (all) => all.indexOf("teide/callisto43") < all.indexOf(third), "it needs somebody more than what is medium");
+  await becomes(() => page.locator('[data-testid="tile"][data-quality="fresh"]').count(), 49);
   server.silent.clear();
   await page.locator('[data-testid="tile"][data-telescope="teide/callisto43"][data-quality="fresh"]').waitFor();
 });
@@ -119,26 +123,26 @@ test("by keyboard: the worst comes first, the focus stays where it is when anoth
   const elara = server.told.get("la-silla/metis");
   server.tell({ ...elara, concern: "critical", alerts: [{ ...server.told.get(WORST[0]).alerts[0], id: "another" }] });
   await page.waitForFunction(() => document.querySelector('[data-testid="tile"]').dataset.telescope === "la-silla/metis");
-  assert.equal(await close.evaluate((one) => document.activeElement === one), true);
+  await becomes(() => close.evaluate((one) => document.activeElement === one), true, "the focus stays");
   await page.locator('.seg [aria-pressed="true"]', { hasText: "Compact" }).focus();
   await page.keyboard.press("Tab");
-  assert.equal(await page.evaluate(() => document.activeElement.closest("[data-telescope]")?.dataset.telescope), "la-silla/metis");
+  await becomes(() => page.evaluate(() => document.activeElement.closest("[data-telescope]")?.dataset.telescope), "la-silla/metis");
   await page.keyboard.press("/");
   await page.keyboard.type("trappist");
-  await page.waitForFunction(() => document.querySelectorAll('[data-testid="row"]').length < 20);
-  const shown = await rows();
+  const expected = [...server.told.values()].filter(({ id, activity }) => /trappist/i.test(id + activity[0]?.object)).length;
+  const shown = await becomes(rows, (all) => all.length === expected, `${expected} rows are left`);
   await page.getByRole("button", { name: "Telescope", exact: true }).focus();
   await page.keyboard.press("Enter");
   const name = (id) => id.split("/")[1];
-  assert.deepEqual((await rows()).map(name), shown.map(name).sort());
+  await becomes(async () => (await rows()).map(name), shown.map(name).sort());
 });
 
 test("images that the view hides are not asked for", TEST, async () => {
   await page.locator('[data-testid="tile"] .thumb img').nth(2).waitFor();
-  assert.deepEqual([...server.images].sort(), [...WORST].sort());
+  await becomes(() => [...server.images].sort(), [...WORST].sort());
   await press("Cards");
   await page.locator('[data-testid="tile"] .thumb img').nth(49).waitFor();
-  assert.equal(new Set(server.images).size, 50);
+  await becomes(() => new Set(server.images).size, 50);
 });
 
 test("fifty telescopes have no serious finding of axe-core in three themes at two widths", TEST, async () => {

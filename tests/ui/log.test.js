@@ -1,7 +1,7 @@
 // The log: live, searched by text, level and node, and the lines around a moment; what is looked for stands in the address.
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
-import { LIMIT, TEST, launch, newPage, settled, startRecorded } from "./browser.js";
+import { TEST, addressOf, becomes, launch, newPage, settled, startRecorded } from "./browser.js";
 
 let bus, browser, page;
 
@@ -19,14 +19,7 @@ after(async () => {
 const lines = () => page.locator('[data-testid="lines"] li').evaluateAll((all) => all.map((one) => ({ level: one.dataset.l, text: one.textContent })));
 
 /** Waits until all lines meet a condition, and there are some. */
-async function until(met, told) {
-  for (const end = Date.now() + LIMIT; ;) {
-    const found = await lines();
-    if (found.length && found.every(met)) return found;
-    assert.ok(Date.now() < end, `${told}: ${JSON.stringify(found.slice(0, 3))}`);
-    await page.waitForTimeout(50);
-  }
-}
+const until = (met, told) => becomes(lines, (found) => found.length && found.every(met), told);
 
 test("live lines are filtered by text and level, and a new one comes by itself", TEST, async () => {
   await page.goto(`${bus.url}/t/demo/alpha/log`);
@@ -38,7 +31,7 @@ test("live lines are filtered by text and level, and a new one comes by itself",
   await until(({ text }) => /shutter/.test(text), "only lines with the text");
   await page.getByRole("button", { name: "Warn and up" }).click();
   await until(({ level, text }) => ["warn", "error"].includes(level) && /shutter/.test(text), "only warnings");
-  assert.deepEqual(Object.fromEntries(new URL(page.url()).searchParams), { text: "shutter", level: "warn" });
+  await becomes(() => addressOf(page), { pathname: "/t/demo/alpha/log", text: "shutter", level: "warn" });
   await page.reload();
   await settled(page);
   await until(({ text }) => /shutter/.test(text), "the address keeps what is looked for");
@@ -48,9 +41,8 @@ test("the archive is searched by text, level and node, for one telescope and for
   for (const address of ["/t/demo/alpha/log?view=search", "/log?view=search"]) {
     await page.goto(bus.url + address);
     await settled(page);
-    const all = await until(() => true, "the lines of the archive");
     const word = "stored";
-    assert.ok(all.some(({ text }) => text.includes(word)) && !all.every(({ text }) => text.includes(word)), "the recording has other lines, too");
+    await becomes(lines, (all) => all.some(({ text }) => text.includes(word)) && !all.every(({ text }) => text.includes(word)), "the recording has lines with the word, and others");
     await page.getByLabel("Search the log").fill(word);
     await until(({ text }) => text.includes(word), "only lines with the text");
     await page.getByLabel("Search the log").fill("");
@@ -70,7 +62,7 @@ test("a line leads to the lines around it", TEST, async () => {
   await page.locator('[data-testid="lines"] li a').first().click();
   await page.getByRole("button", { name: "± 10 min" }).click();
   await until(() => true, "lines around the moment");
-  assert.ok(new URL(page.url()).searchParams.get("at"));
+  await becomes(() => Boolean(addressOf(page).at), true);
   await page.getByRole("link", { name: "Live", exact: true }).click();
   await page.locator('h2:has-text("Live")').waitFor();
 });

@@ -2,7 +2,7 @@
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
-import { PASSWORD, TEST, binary, launch, newPage, problemsOf, startWithUser } from "./browser.js";
+import { PASSWORD, TEST, becomes, binary, launch, newPage, problemsOf, startWithUser } from "./browser.js";
 
 let site, url, browser;
 
@@ -34,7 +34,7 @@ test("a person logs in, sees the page, and logs out", TEST, async () => {
   assert.equal(await page.evaluate(() => document.cookie), "", "no script sees the session");
   await page.locator(".rail .me button").click();
   await page.locator("#login").waitFor();
-  assert.equal(await page.evaluate(() => caches.has("picture")), false, "nothing of the telescopes is left in the browser");
+  await becomes(() => page.evaluate(() => caches.has("picture")), false, "nothing of the telescopes is left in the browser");
   // longer than a page may be without drawing itself: the login page is not called broken
   await page.waitForTimeout(7000);
   assert.equal(await page.locator("#login button").isVisible(), true);

@@ -1,7 +1,7 @@
 // The page without its server: it opens, shows the last picture with everything marked as old, and goes on by itself when the server is back.
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
-import { LIMIT, TEST, launch, newPage, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, launch, newPage, settled, startRecorded } from "./browser.js";
 
 let bus, browser, page;
 
@@ -35,10 +35,7 @@ test("the page opens without its server, shows the last picture as old, and goes
   });
   await page.reload();
   await page.locator('[data-testid="device"]').first().waitFor();
-  for (const until = Date.now() + LIMIT; !(await isKept());) {
-    assert.ok(Date.now() < until, "no picture was kept");
-    await page.waitForTimeout(500);
-  }
+  await becomes(isKept, true, "a picture is kept");
   const devices = await page.locator('[data-testid="device"]').count();
 
   await bus.stop();
@@ -46,23 +43,22 @@ test("the page opens without its server, shows the last picture as old, and goes
   await page.locator('body[data-link="lost"] [data-testid="link-lost"]', { hasText: /No link to the server since .*\d\d:\d\d:\d\d/ }).waitFor();
   const tile = page.locator(`[data-testid="tile"]${ALPHA}`);
   await tile.waitFor();
-  assert.notEqual(await tile.getAttribute("data-quality"), "fresh");
-  assert.deepEqual(await tile.evaluate(({ dataset }) => [dataset.safety, dataset.posture]), ["unknown", "unknown"], "nothing old is shown as the state now");
+  await becomes(() => tile.evaluate(({ dataset }) => [dataset.quality !== "fresh", dataset.safety, dataset.posture]), [true, "unknown", "unknown"], "nothing old is shown as the state now");
   await tile.locator("img").waitFor();
   const fresh = () => page.locator('[data-quality="fresh"], [data-safety="safe"], [data-posture="open"]').evaluateAll((all) => all.map((one) => one.outerHTML.slice(0, 200)));
-  assert.deepEqual(await fresh(), []);
+  await becomes(fresh, []);
 
   // An address that was not the one that is kept: the same page.
   await page.goto(`${bus.url}/t/demo/alpha`);
   await page.locator('body[data-link="lost"]').waitFor();
   await page.locator('[data-testid="device"]').first().waitFor();
-  assert.equal(await page.locator('[data-testid="device"]').count(), devices, "the devices of the last picture");
-  assert.deepEqual(await fresh(), []);
+  await becomes(() => page.locator('[data-testid="device"]').count(), devices, "the devices of the last picture");
+  await becomes(fresh, []);
 
   await bus.again();
   await page.locator('body[data-link="live"]').waitFor();
   await page.locator('[data-testid="device"][data-quality="fresh"]').first().waitFor();
-  assert.equal(await page.locator('[data-testid="link-lost"]').count(), 0);
+  await page.locator('[data-testid="link-lost"]').waitFor({ state: "detached" });
 });
 
 test("the manifest lets a phone install the page", TEST, async () => {

@@ -3,7 +3,7 @@
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, chooseTheme, everyAddress, launch, looks, newPage, problemsOf, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, chooseTheme, everyAddress, launch, looks, newPage, problemsOf, settled, startRecorded } from "./browser.js";
 
 let bus, browser, page, problems;
 
@@ -33,7 +33,7 @@ test("every page opens in three themes at two widths, fits, and has no serious f
       await page.goto(bus.url + address);
       await settled(page);
       assert.equal(await page.locator("[data-broken]").count(), 0, "a part cannot be drawn");
-      assert.equal(await page.locator("main h1").count(), 1, "one title");
+      await becomes(() => page.locator("main h1").count(), 1, "titles");
       found.push(...(await looks(page, address)));
     });
   }
@@ -48,13 +48,11 @@ test("a theme is kept, and the key t goes through all", TEST, async () => {
   await choose("night");
   await page.reload();
   await settled(page);
-  assert.equal(await theme(), "night");
-  const seen = [];
-  for (let i = 0; i < 3; i += 1) {
+  await becomes(theme, "night");
+  for (const next of ["light", "dark", "night"]) {
     await page.keyboard.press("t");
-    seen.push(await theme());
+    await becomes(theme, next);
   }
-  assert.deepEqual(seen, ["light", "dark", "night"]);
 });
 
 test("in the night theme no part of the page has green or blue", TEST, async () => {
@@ -81,7 +79,7 @@ test("the key / goes to the filter, and a chart is read by arrow keys", TEST, as
   await page.goto(bus.url);
   await settled(page);
   await page.keyboard.press("/");
-  assert.equal(await page.evaluate(() => document.activeElement.type), "search");
+  await page.locator("input[type=search]:focus").waitFor();
   await page.keyboard.type("no such telescope");
   await page.waitForFunction(() => document.querySelectorAll('[data-testid="row"]').length === 0);
   await page.goto(`${bus.url}/t/demo/alpha/weather`);
@@ -94,5 +92,5 @@ test("the key / goes to the filter, and a chart is read by arrow keys", TEST, as
     await page.keyboard.press("ArrowLeft");
     await page.waitForFunction(([element, text]) => element.querySelector(".read").textContent !== text, [await chart.elementHandle(), before]);
   }
-  assert.match(await reading(), /at \d\d:\d\d:\d\d/, "the values are those at the cursor");
+  await becomes(reading, (text) => /at \d\d:\d\d:\d\d/.test(text), "the values are those at the cursor");
 });

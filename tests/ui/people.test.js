@@ -1,7 +1,7 @@
 // Settings, users and the audit: who is signed in, sessions, tokens, and who moved what.
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
-import { PASSWORD, TEST, launch, newPage, problemsOf, settled, startRecorded, startWithUser } from "./browser.js";
+import { PASSWORD, TEST, becomes, launch, newPage, problemsOf, settled, startRecorded, startWithUser } from "./browser.js";
 
 let site, url, browser;
 
@@ -36,8 +36,8 @@ test("a person sees what they may do, makes a token for a program, removes it, a
   assert.equal(await bearer(token), 200, "the token opens the API");
   await page.getByRole("button", { name: "Done" }).click();
   const row = page.locator('[data-testid="tokens"] tbody tr', { hasText: "cron" });
-  assert.match(await row.textContent(), /ana.*viewer/s, "it may no more than was chosen");
-  assert.ok(!(await page.content()).includes(token), "its secret is shown once");
+  await becomes(() => row.textContent(), (text) => /ana.*viewer/s.test(text), "it may no more than was chosen");
+  await becomes(async () => (await page.content()).includes(token), false, "its secret is shown once");
   await row.getByRole("button", { name: "Remove …" }).click();
   await page.getByRole("dialog").getByRole("button", { name: "Remove" }).click();
   await row.waitFor({ state: "detached" });

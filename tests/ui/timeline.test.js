@@ -2,7 +2,7 @@
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { LIMIT, TEST, launch, newPage, problemsOf, settled, startRecorded } from "./browser.js";
+import { TEST, addressOf, becomes, launch, newPage, problemsOf, settled, startRecorded } from "./browser.js";
 
 const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true };
 let bus, browser, page, problems;
@@ -31,14 +31,7 @@ const shown = (part) => part.evaluate(({ dataset }) => [Number(dataset.from), Nu
 const length = ([from, to]) => to - from;
 
 /** Waits until the part of the time meets a condition, and gives it. */
-async function until(part, met, told) {
-  for (const end = Date.now() + LIMIT; ;) {
-    const now = await shown(part);
-    if (met(now)) return now;
-    assert.ok(Date.now() < end, `${told}: ${now}`);
-    await page.waitForTimeout(50);
-  }
-}
+const until = (part, met, told) => becomes(() => shown(part), met, told);
 
 for (const [what, address, selector] of [["the timeline of the night", "/t/demo/alpha", '[data-testid="timeline"]'], ["a chart", "/t/demo/alpha/weather", '[data-testid="chart"]']]) {
   test(`${what} is zoomed and dragged by keys, buttons and the mouse`, TEST, async () => {
@@ -89,9 +82,8 @@ for (const [what, address, selector] of [["the timeline of the night", "/t/demo/
     const [from, to] = await shown(part);
     assert.ok(at > from && at < to, `${at} in ${from} to ${to}`);
     await link.click();
+    await becomes(() => addressOf(page), ({ pathname, at: shown }) => pathname === "/t/demo/alpha/log" && Date.parse(shown) === at, "the log of that moment");
     await page.locator('[data-testid="lines"], .empty').first().waitFor();
-    assert.equal(new URL(page.url()).pathname, "/t/demo/alpha/log");
-    assert.equal(Date.parse(new URL(page.url()).searchParams.get("at")), at);
   });
 }
 
@@ -126,10 +118,9 @@ test("the night of all telescopes has a line for each, worst first, and a name l
   await open("/");
   await page.locator('[data-testid="nights"]').scrollIntoViewIfNeeded();
   await page.locator('[data-testid="night-line"]').nth(3).waitFor();
-  const lines = await page.locator('[data-testid="night-line"]').evaluateAll((all) => all.map((one) => one.dataset.of));
-  const rows = await page.locator('[data-testid="row"]').evaluateAll((all) => all.map((one) => one.dataset.of));
-  assert.equal(lines[0], "ridge/delta", "the one that needs somebody");
-  assert.deepEqual(lines, rows, "the table has the same order");
+  const of = (name) => page.locator(`[data-testid="${name}"]`).evaluateAll((all) => all.map((one) => one.dataset.of));
+  await becomes(async () => (await of("night-line"))[0], "ridge/delta", "first is what needs somebody");
+  await becomes(async () => [await of("night-line"), await of("row")], ([lines, rows]) => String(lines) === String(rows), "the table has the same order");
   await page.locator('[data-testid="night-line"] .b-done, [data-testid="night-line"] .b-run').first().waitFor();
   await page.locator('[data-testid="nights"] .names a').first().click();
   await page.locator("h1", { hasText: "delta" }).waitFor();
@@ -139,9 +130,8 @@ test("the header counts what calls for somebody, and not what somebody has ackno
   await open("/");
   await page.locator('[data-testid="row"]').nth(3).waitFor();
   const count = (word) => page.locator(`header.top [data-testid="count-${word}"]`);
-  await count("critical").waitFor();
-  assert.match(await count("critical").textContent(), /1/);
-  assert.equal(await count("high").count(), 0, "the acknowledged one of delta");
+  await count("critical").filter({ hasText: "1" }).waitFor();
+  await becomes(() => count("high").count(), 0, "the acknowledged one of delta");
 });
 
 test("a closed telescope tells each reason and when it can clear, and what comes then", TEST, async () => {

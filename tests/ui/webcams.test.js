@@ -3,7 +3,7 @@ import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
 import http from "node:http";
 import { network } from "./recorded/network.js";
-import { LIMIT, TEST, launch, looks, newPage, problemsOf, settled, startRecorded, tooWide } from "./browser.js";
+import { TEST, becomes, launch, looks, newPage, problemsOf, settled, startRecorded, tooWide } from "./browser.js";
 
 const PICTURE = '<svg xmlns="http://www.w3.org/2000/svg" width="320" height="200"><rect width="320" height="200" fill="#357"/></svg>';
 /** What was asked, by camera, and whether it gives its picture now. */
@@ -52,11 +52,7 @@ async function open(address) {
 /** Waits until a camera was asked so many times more. */
 async function moreOf(name, count) {
   const until = asked[name].length + count;
-  const end = Date.now() + LIMIT;
-  while (asked[name].length < until) {
-    assert.ok(Date.now() < end, `${name} is not asked`);
-    await new Promise((resolve) => { setTimeout(resolve, 20); });
-  }
+  await becomes(() => asked[name].length, (times) => times >= until, `${name} is asked`);
 }
 const comesIntoView = (name) => cam(name).scrollIntoViewIfNeeded();
 
@@ -64,7 +60,7 @@ test("a telescope shows its webcams and those of its site, a site all of its own
   for (const [address, expected] of [["/t/demo/alpha", ["all-sky", "alpha"]], ["/t/demo/beta", ["Broken", "all-sky"]], ["/t/demo/alpha/weather", ["all-sky", "alpha"]], ["/t/ridge/delta", ["Ridge"]],
     ["/weather", ["Broken", "Ridge", "Slow", "all-sky", "alpha"]], ["/alerts", ["Ridge"]]]) {
     await open(address);
-    assert.deepEqual(await names(), expected, address);
+    await becomes(names, expected, address);
   }
 });
 
@@ -123,7 +119,7 @@ test("when the camera fails, the last good picture stays, as old, and is live ag
   await page.locator('[data-webcam*="Dome"][data-quality="lost"]').waitFor();
   gives.dome = true;
   await page.locator('[data-webcam*="Dome"][data-quality="fresh"][data-state="shown"]').waitFor();
-  assert.ok(!/stale|old/.test((await dome.textContent()).replace("Dome", "")));
+  await becomes(() => dome.textContent(), (text) => !/stale|old/.test(text.replace("Dome", "")), "it is not called old");
 });
 
 test("what never gave a picture says so, and what does not answer shows none", TEST, async () => {
@@ -134,9 +130,9 @@ test("what never gave a picture says so, and what does not answer shows none", T
   assert.match(await cam("Broken").textContent(), /No picture: its server gives no picture, or cannot be reached from here/);
   await open("/t/ridge/gamma");
   await comesIntoView("Slow");
-  await moreOf("slow", 0);
+  await becomes(() => asked.slow.length > 0, true);
   assert.equal(await cam("Slow").locator("img").count(), 0);
-  assert.match(await cam("Slow").textContent(), /no picture.*Fetching/s);
+  await cam("Slow").filter({ hasText: /no picture.*(Fetching|does not answer)/s }).waitFor();
 });
 
 test("it opens large, stays live there, and Escape leads back to it", TEST, async () => {
@@ -150,7 +146,7 @@ test("it opens large, stays live there, and Escape leads back to it", TEST, asyn
   assert.ok(await dialog.locator("img").evaluate((image) => image.naturalWidth > 0));
   await page.keyboard.press("Escape");
   await dialog.waitFor({ state: "detached" });
-  assert.equal(await page.evaluate(() => document.activeElement.getAttribute("aria-label")), "Dome of alpha, open large");
+  await becomes(() => page.evaluate(() => document.activeElement.getAttribute("aria-label")), "Dome of alpha, open large");
   await button.locator("img").waitFor();
 });
 
@@ -177,7 +173,7 @@ test("whatever the list brings, nothing of it becomes an address or markup, and 
   await page.route(`${bus.url}/api/v1/network`, (route) => route.fulfill(answer ? { json: answer } : { status: 503, json: { title: "Not now", detail: "Not now." } }));
   await page.setViewportSize({ width: 390, height: 844 });
   await open("/t/demo/alpha");
-  assert.equal(await page.locator("[data-webcam]").count(), 1);
+  await becomes(() => page.locator("[data-webcam]").count(), 1);
   assert.equal(await page.evaluate(() => window.taken), undefined);
   assert.equal(await tooWide(page), null);
   answer = null;

@@ -10,7 +10,7 @@ use internet::{Client, Request, Response, StatusCode, first_bytes, header, trust
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, date_time_ymd};
 use rustls::pki_types::PrivateKeyDer;
 use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpSocket};
 use tokio_rustls::TlsAcceptor;
 
 /// No step takes longer, also on a busy machine.
@@ -186,7 +186,10 @@ async fn the_first_bytes_are_quoted_while_the_rest_is_still_to_come() {
 
 #[tokio::test]
 async fn no_error_contains_the_url_and_each_gives_the_reason() {
-    let closed = TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
+    // Bound and not listening: nobody else gets its port.
+    let held = TcpSocket::new_v4().unwrap();
+    held.bind("127.0.0.1:0".parse().unwrap()).unwrap();
+    let closed = held.local_addr().unwrap();
     let other = Server::start(b"SSH-2.0-OpenSSH_9.7\r\n", Then::Closes, None).await;
     let silent = Server::start(b"", Then::Closes, None).await;
     for (url, token, wanted) in [

@@ -44,17 +44,24 @@ async fn claim(stage: &Stage) -> u64 {
 
 /// Waits until a permit with this token counts.
 pub async fn until_permitted(stage: &Stage, token: u64) {
+    until_guard(stage, |guard| guard.may_be_open && guard.token == token).await;
+}
+
+/// Waits until the dome's guard is as wanted.
+pub async fn until_guard(stage: &Stage, wanted: impl Fn(&dome::Guard) -> bool) {
     let key = Key::Guard(stage.device(Kind::Dome, "dome")).to_string();
     let guard = stage.bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
-    let permitted = async {
+    let mut last = None;
+    let waiting = async {
         loop {
-            let sample = guard.recv().await.sample.body;
-            if sample.may_be_open && sample.token == token {
+            let sample = last.insert(guard.recv().await.sample.body);
+            if wanted(sample) {
                 return;
             }
         }
     };
-    tokio::time::timeout(LIMIT, permitted).await.expect("no permit counts");
+    let is_so = tokio::time::timeout(LIMIT, waiting).await.is_ok();
+    assert!(is_so, "the guard stayed {last:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -46,8 +46,9 @@ async fn a_mount_that_ignores_the_end_of_tracking_at_its_limit_is_aborted_and_th
     mount.on("park", |mount, _| mount.answer("atpark", FakeAnswer::Value(json!(true))));
     let blocks = block("telescope", "mount", &mount, "period_s = 0.5\nlimits = { altitude_min_deg = 20.0 }");
     let stage = Stage::start(&blocks).await;
+    let states = stage.states::<Telescope>("mount").await;
     until("aborted", || !mount.puts("abortslew").is_empty()).await;
-    let beyond = stage.until::<Telescope>("mount", |state| state.fields.beyond_limit.is_some()).await;
+    let beyond = stage.until_in::<Telescope>(&states, |state| state.fields.beyond_limit.is_some()).await;
     assert!(beyond.fields.beyond_limit.is_some_and(|beyond| !beyond.not_stopped));
     until("parked", || !mount.puts("park").is_empty()).await;
     let at = |member| mount.puts(member)[0].at;

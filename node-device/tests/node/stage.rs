@@ -60,9 +60,17 @@ impl Stage {
     pub async fn until<K: DeviceKind>(
         &self,
         name: &str,
+        wanted: impl FnMut(&DeviceState<K::Fields>) -> bool,
+    ) -> DeviceState<K::Fields> {
+        self.until_in::<K>(&self.states::<K>(name).await, wanted).await
+    }
+
+    /// As [`Self::until`], among those that came since they were subscribed to: for what does not last.
+    pub async fn until_in<K: DeviceKind>(
+        &self,
+        states: &Subscriber<DeviceState<K::Fields>>,
         mut wanted: impl FnMut(&DeviceState<K::Fields>) -> bool,
     ) -> DeviceState<K::Fields> {
-        let states = self.states::<K>(name).await;
         let mut last = None;
         let waiting = async {
             loop {
@@ -73,7 +81,7 @@ impl Stage {
                 last = Some(serde_json::to_string(&state).unwrap());
             }
         };
-        tokio::time::timeout(LIMIT, waiting).await.unwrap_or_else(|_| panic!("{name} stayed {last:?}"))
+        tokio::time::timeout(LIMIT, waiting).await.unwrap_or_else(|_| panic!("the {} stayed {last:?}", K::KIND))
     }
 
     /// Sends a command; a node that is not up yet is asked again.

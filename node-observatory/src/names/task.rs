@@ -141,8 +141,10 @@ mod tests {
     async fn a_service_that_is_away_or_answers_nonsense_is_a_reason_and_no_meaning() {
         let (mut names, at) = (services().await, "2026-11-21T03:00:00Z".parse().unwrap());
         let good = names.sesame_url.clone();
-        // The port of a listener that is gone.
-        let gone = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
+        // Bound and not listening: nobody else gets its port.
+        let held = tokio::net::TcpSocket::new_v4().unwrap();
+        held.bind("127.0.0.1:0".parse().unwrap()).unwrap();
+        let gone = held.local_addr().unwrap();
         names.sesame_url = format!("http://{gone}");
         let why = ask(&names, "Vega", at).await.unwrap_err();
         assert!(why.starts_with("Sesame: it cannot be reached"), "{why}");

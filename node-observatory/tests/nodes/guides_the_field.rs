@@ -1,6 +1,8 @@
 //! Guiding closes its loop on the simulated mount: calibrated by pulses or by a solved frame, and held on both sides of
 //! the pier. How well it holds is measured in `proof`.
 
+use std::time::Instant;
+
 use contract::device::telescope::PierSide;
 use contract::observatory::{CalibrationSource, Correction, GuideCalibration, GuideStage};
 use node_observatory::replicated::Replicate as _;
@@ -44,6 +46,20 @@ pub fn endless((ra, dec): (f64, f64), more: &str) -> String {
 /// How far west of the meridian a place stands now, degrees.
 pub fn past_meridian_deg(sim: &Sim, (ra, _): (f64, f64)) -> f64 {
     (sim.place(0.0, 0.0).0 - ra + 180.0).rem_euclid(360.0) - 180.0
+}
+
+/// Collects corrections until enough is seen of them.
+async fn collect(sim: &Sim, corrections: &mut Vec<Correction>, enough: impl Fn(&[Correction]) -> bool) {
+    let began = Instant::now();
+    while !enough(corrections) {
+        assert!(
+            began.elapsed() < MOST,
+            "not seen within {MOST:?}, last of {}: {:#?}",
+            corrections.len(),
+            corrections.last()
+        );
+        corrections.push(sim.next_correction().await);
+    }
 }
 
 /// Frames that were corrected after while the field was held, with the tube on this side of the pier.
@@ -90,21 +106,18 @@ async fn a_proven_row_is_held_on_both_sides_also_by_a_mount_that_goes_south_by_n
     let truth = by_geometry(&options.camera);
     let more = "[imaging]\ncatalogue = \"sky.smcat\"\n[guiding]\ndec_reversed_after_flip = true\n";
     let mut sim = Sim::new(options, more).await;
-    // It crosses the meridian after 36 s of this machine, and is to be held before.
-    let field = sim.place(-0.2, -10.0);
+    // It crosses the meridian after 72 s of this machine, and is to be held before.
+    let field = sim.place(-0.4, -10.0);
     sim.write_catalogue(field);
     let row = endless(field, r#""exptime": 20, "pointing": true, "guiding": true"#);
     sim.write_schedule(&[("object", &row)], 18_000.0);
     sim.start().await;
     let mut corrections = Vec::new();
-    while held(&corrections, PierSide::West) < 4 || past_meridian_deg(&sim, field) < 0.5 {
-        corrections.push(sim.next_correction().await);
-    }
+    let is_past = |all: &[Correction]| held(all, PierSide::West) >= 4 && past_meridian_deg(&sim, field) >= 0.5;
+    collect(&sim, &mut corrections, is_past).await;
     // As from the handbox: to where it points already.
     sim.slew_by_hand(field).await;
-    while held(&corrections, PierSide::East) < 6 {
-        corrections.push(sim.next_correction().await);
-    }
+    collect(&sim, &mut corrections, |all| held(all, PierSide::East) >= 6).await;
     for held in sides(&corrections) {
         // A drift to the north is to be taken back, whatever the motor calls that.
         assert!(held.iter().any(|c| c.north.given_ms != 0), "{held:#?}");
@@ -147,9 +160,8 @@ async fn a_solved_frame_and_the_guide_rates_teach_what_pulses_do() {
     let mut corrections = Vec::new();
     // The drift alone is a pixel in each 55 s.
     let is_pulsed = |c: &Correction| c.east.given_ms != 0 || c.north.given_ms != 0;
-    while held(&corrections, PierSide::East) < 4 || !corrections.iter().any(is_pulsed) {
-        corrections.push(sim.next_correction().await);
-    }
+    let is_held = |all: &[Correction]| held(all, PierSide::East) >= 4 && all.iter().any(is_pulsed);
+    collect(&sim, &mut corrections, is_held).await;
     let made = sim.guiding.get().unwrap().sample.body.calibration.unwrap();
     assert_eq!((made.source, made.pier_side), (CalibrationSource::PlateSolution, Some(PierSide::East)));
     for (learned, true_px_s) in [(made.east_px_per_s, truth.east_px_per_s), (made.north_px_per_s, truth.north_px_per_s)]
@@ -175,9 +187,7 @@ async fn a_camera_of_its_own_guides_alongside_the_rows_exposures() {
     sim.write_schedule(&[("object", &object(field, 40.0, 3))], 18_000.0);
     sim.start().await;
     let mut corrections = Vec::new();
-    while held(&corrections, PierSide::East) < 3 {
-        corrections.push(sim.next_correction().await);
-    }
+    collect(&sim, &mut corrections, |all| held(all, PierSide::East) >= 3).await;
     sim.until("the field observed", MOST, |sim| sim.ended(0).is_some()).await;
     corrections.extend(sim.corrections().await);
     assert!(corrections.iter().all(|correction| correction.camera == "guider"));

@@ -23,6 +23,9 @@ function isPicture(url) {
   }
 }
 
+/** Ends an image: a server that sends picture after picture would never end by itself. */
+const drop = (image) => image?.removeAttribute("src");
+
 /**
  * The newest picture that has come while `place` is in view: `{ picture: { element, at } | null, failed }`. The element that was loaded is the one that is
  * shown: half a picture, or none, never takes the place of a good one. `watched()` says whether it is looked at elsewhere.
@@ -36,8 +39,6 @@ function usePicture(webcam, place, watched) {
     let coming = null;
     let begun = -Infinity;
     let isInView = false;
-    /** A server that sends picture after picture would never end by itself. */
-    const drop = (image) => image?.removeAttribute("src");
     const end = (why) => {
       if (coming) coming.onload = coming.onerror = null;
       if (why) drop(coming);
@@ -55,9 +56,7 @@ function usePicture(webcam, place, watched) {
       image.alt = webcam.name;
       image.onload = () => {
         if (!image.naturalWidth) return end("what its server gives is no picture");
-        const before = picture.peek();
         picture.value = { element: image, at: performance.now() };
-        drop(before?.element);
         end("");
       };
       image.onerror = () => end("its server gives no picture, or cannot be reached from here");
@@ -74,6 +73,9 @@ function usePicture(webcam, place, watched) {
       end("");
     };
   }, [webcam.url, webcam.period_s]);
+  // The one before ends once it is no longer shown, and not earlier, so that there is no moment without a picture.
+  const element = picture.value?.element;
+  useLayoutEffect(() => () => drop(element), [element]);
   return { picture: picture.value, failed: failed.value };
 }
 

@@ -3,25 +3,27 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use bus::Publisher;
 use contract::observatory::{NightState, OperatorOrders};
 use contract::{Accepted, Key, Kind, Order, OrderKind, Part, Reason, Refusal, Reply};
 use serde_json::{Value, json};
 use test_support::DomeNode;
 
-use crate::stage::{Stage, address, sample};
+use crate::stage::{Published, Stage, address, sample};
 
 const COMMANDS: &str = "/api/v1/telescopes/paranal/callisto/commands";
 
 type Orders = Arc<Mutex<Vec<Order>>>;
 
-/// An observatory node that takes all orders, unless their reason is "refuse", and the orders that it got.
+/// An observatory node that takes all orders, unless their reason is "refuse", and the orders that it got, each once however often it was asked.
 async fn observatory(stage: &Stage) -> (bus::Service, Orders) {
     let orders = Orders::default();
     let got = orders.clone();
     let serve = move |order: Result<Order, String>| {
         let order = order.unwrap();
-        got.lock().unwrap().push(order.clone());
+        let mut got = got.lock().unwrap();
+        if got.iter().all(|one: &Order| one.id != order.id) {
+            got.push(order.clone());
+        }
         async move {
             match order.reason.as_str() {
                 "refuse" => {
@@ -34,7 +36,7 @@ async fn observatory(stage: &Stage) -> (bus::Service, Orders) {
     (stage.bus.serve(&Key::Order(address("callisto")), serve).await.unwrap(), orders)
 }
 
-async fn night(stage: &Stage) -> Publisher<NightState> {
+async fn night(stage: &Stage) -> Published<NightState> {
     let state: NightState = serde_json::from_value(sample("observatory.night")).unwrap();
     let night = stage.publish(Key::Observatory(address("callisto"), Part::Night), state).await;
     stage.until("/api/v1/network", |network| network["telescopes"][0]["posture"] != "unknown").await;
@@ -100,12 +102,12 @@ async fn a_close_is_done_when_it_is_verified_and_failed_when_it_is_not() {
     closing["last_order"]["id"] = state["id"].clone();
     let mut closing: NightState = serde_json::from_value(closing).unwrap();
     closing.posture = contract::observatory::Posture::Closing;
-    night.put(closing.clone()).await.unwrap();
+    night.put(closing.clone());
     tokio::time::sleep(Duration::from_millis(300)).await;
     let location = location.unwrap();
     assert_eq!(stage.get(&location).await.1["state"], "accepted");
     closing.posture = contract::observatory::Posture::Closed;
-    night.put(closing).await.unwrap();
+    night.put(closing);
     let done = stage.until(&location, |state| state["state"] == "done").await;
     assert_eq!(done["events"].as_array().unwrap().len(), 3, "{done}");
 
@@ -202,7 +204,7 @@ async fn the_catalogue_has_what_stands_against_an_order() {
         })
     };
     stage.until(&path, takes_over).await;
-    orders.put(control("cli/local@pc")).await.unwrap();
+    orders.put(control("cli/local@pc"));
     stage.until(&path, |offered| offered.is_array() && !takes_over(offered)).await;
     stage.end().await;
 }

@@ -10,9 +10,10 @@ use contract::observatory::{
 use contract::{Accepted, Key, Order, OrderKind, Part, Reason, Refusal, Reply};
 use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
+use test_support::LIMIT;
 
 use crate::stage::raw::{Answer, add_user, exchange, request, with_users};
-use crate::stage::{Stage, address, sample};
+use crate::stage::{Published, Stage, address, sample};
 
 const SCHEDULE: &str = "/api/v1/telescopes/paranal/callisto/schedule";
 const JSONL: &str = "Accept: application/jsonl\r\n";
@@ -34,9 +35,9 @@ struct Observatory {
     orders: Arc<Mutex<Vec<Order>>>,
     plans: Arc<AtomicU32>,
     _services: Vec<bus::Service>,
-    _night: bus::Publisher<NightState>,
+    _night: Published<NightState>,
     state: ScheduleState,
-    schedule: bus::Publisher<ScheduleState>,
+    schedule: Published<ScheduleState>,
 }
 
 impl Observatory {
@@ -121,15 +122,15 @@ impl Observatory {
 async fn send(stage: &Stage, ask: &str, headers: &str, text: &str) -> Answer {
     let head = format!("Content-Type: application/jsonl\r\nContent-Length: {}\r\n{headers}", text.len());
     let message = request(stage.authority(), ask, &head, None) + text;
-    let mut answer = exchange(stage.connect_from("127.0.0.1").await.unwrap(), &message).await;
-    for _ in 0..50 {
-        if answer.status != 504 {
-            break;
+    let answered = async {
+        loop {
+            let answer = exchange(stage.connect_from("127.0.0.1").await.unwrap(), &message).await;
+            if answer.status != 504 {
+                return answer;
+            }
         }
-        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
-        answer = exchange(stage.connect_from("127.0.0.1").await.unwrap(), &message).await;
-    }
-    answer
+    };
+    tokio::time::timeout(LIMIT, answered).await.unwrap_or_else(|_| panic!("{ask}: nobody answers"))
 }
 
 async fn get(stage: &Stage, path: &str, headers: &str) -> Answer {
@@ -344,7 +345,7 @@ async fn a_forecast_is_made_once_for_all_who_look_and_again_for_another_schedule
     let new = row("new", 5);
     observatory.text.lock().unwrap().clone_from(&new);
     let state = ScheduleState { sha256: Some(sha256(&new)), ..observatory.state.clone() };
-    observatory.schedule.put(state).await.unwrap();
+    observatory.schedule.put(state);
     let ready = async { while ask(known.clone()).await.status == 304 {} };
     tokio::time::timeout(test_support::LIMIT, ready).await.unwrap();
     let next = ask(known).await;

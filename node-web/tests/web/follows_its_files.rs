@@ -38,7 +38,7 @@ async fn topics_end_and_begin_anew_with_the_rights() {
     add_user(folder.path(), "vera", &["viewer:paranal/callisto"]);
     let stage = Stage::start_with("", folder.path()).await;
     let dome = address("callisto").device(Kind::Dome, &"dome_1".parse().unwrap());
-    stage.publish(Key::Capabilities(dome), sample("dome.capabilities")).await;
+    let _dome = stage.publish(Key::Capabilities(dome), sample("dome.capabilities")).await;
     let (vera, ana) = (stage.session("vera").await, stage.session("ana").await);
     let device = "GET /api/v1/telescopes/paranal/callisto/devices/dome/dome_1";
     let server =

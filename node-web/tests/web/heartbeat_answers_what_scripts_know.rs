@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use test_support::DomeNode;
 use units::Utc;
 
-use crate::stage::{Kept, Stage, address};
+use crate::stage::{Published, Stage, address};
 
 fn now() -> Utc {
     "2026-11-21T03:12:45.250Z".parse().unwrap()
@@ -52,11 +52,11 @@ fn safety(verdict: Verdict) -> SafetyState {
 }
 
 /// An observatory node that goes on publishing until it is dropped.
-async fn observatory(stage: &Stage, telescope: &str, verdict: Verdict, posture: Posture) -> [Kept; 2] {
+async fn observatory(stage: &Stage, telescope: &str, verdict: Verdict, posture: Posture) -> [Published<Value>; 2] {
     let key = |part| Key::Observatory(address(telescope), part);
     let night = serde_json::to_value(night(true, posture)).unwrap();
     let safety = serde_json::to_value(safety(verdict)).unwrap();
-    [stage.keep_publishing(key(Part::Night), night).await, stage.keep_publishing(key(Part::Safety), safety).await]
+    [stage.publish(key(Part::Night), night).await, stage.publish(key(Part::Safety), safety).await]
 }
 
 const OLD_KEYS: [&str; 11] = [
@@ -91,7 +91,7 @@ async fn one_telescope_answers_with_every_old_key() {
         .into(),
     };
     let device = address("callisto").shared().device(Kind::SafetyMonitor, &"monitor".parse().unwrap());
-    stage.publish(Key::State(device), monitor).await;
+    let _monitor = stage.publish(Key::State(device), monitor).await;
     let _callisto = observatory(&stage, "callisto", Verdict::Safe, Posture::Open).await;
     let answer = stage
         .until("/api/heartbeat", |answer| {
@@ -154,13 +154,13 @@ async fn several_telescopes_roll_up_and_each_can_be_asked_alone() {
     // Cleared, and no person has seen it: no error of now, but a script that asks every few minutes must see it.
     let mut over = alerts(Priority::Critical);
     over.alerts[0].returned_utc = Some(now());
-    publisher.put(over).await.unwrap();
+    publisher.put(over);
     let calm = stage.until("/api/heartbeat?telescope=io", |answer| answer["data"]["error_free"] == true).await;
     let returned = &calm["data"]["returned"][0];
     assert_eq!((&returned["device_name"], &calm["data"]["error_source"]), (&json!("dome_1"), &json!([])));
     assert!(returned["error"].as_str().unwrap().starts_with("dome-not-closed/dome_1"), "{returned}");
     stage.until("/api/heartbeat", |answer| answer["data"]["returned"][0]["telescope_id"] == "io").await;
-    publisher.put(alerts(Priority::Advisory)).await.unwrap();
+    publisher.put(alerts(Priority::Advisory));
     let none = |answer: &Value| answer["data"]["error_free"] == true && answer["data"]["returned"] == json!([]);
     stage.until("/api/heartbeat?telescope=io", none).await;
     stage.end().await;

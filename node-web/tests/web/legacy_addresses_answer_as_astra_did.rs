@@ -10,13 +10,15 @@ use serde_json::{Value, json};
 
 use crate::stage::raw::{add_user, change, request, with_users};
 use crate::stage::socket::Socket;
-use crate::stage::{Stage, address, sample};
+use crate::stage::{Published, Stage, address, sample};
 
-/// A telescope as its nodes publish it; the values are those of the contract's samples.
-async fn telescope(stage: &Stage, telescope: &str) {
+/// A telescope as its nodes publish it while this is held; the values are those of the contract's samples.
+async fn telescope(stage: &Stage, telescope: &str) -> Vec<Published<Value>> {
+    let mut kept = Vec::new();
     for (key, body) in published(telescope) {
-        stage.publish(key, body).await;
+        kept.push(stage.publish(key, body).await);
     }
+    kept
 }
 
 fn published(telescope: &str) -> Vec<(Key, Value)> {
@@ -64,10 +66,7 @@ fn row<'a>(tables: &'a Value, item: &str) -> &'a Value {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_socket_sends_two_tables_again_and_again_with_the_words_of_astra() {
     let stage = Stage::start().await;
-    let mut kept = Vec::new();
-    for (key, body) in published("callisto") {
-        kept.push(stage.keep_publishing(key, body).await);
-    }
+    let kept = telescope(&stage, "callisto").await;
     let mut socket = Socket::open(&stage, "/ws", "").await.unwrap_or_else(|status| panic!("{status}"));
     // Whole, and all of it fresh.
     let is_whole = |tables: &Value| {
@@ -137,7 +136,7 @@ async fn a_value_that_is_no_number_is_null_and_the_document_stays_json() {
     state["fields"]["ccd_c"] = json!({"no_data": "not a number: NaN"});
     state["readings"]["CCDTemperature"] = json!({"no_data": "not a number: NaN", "at_utc": "2026-11-21T03:12:45Z"});
     let device = address("callisto").device(Kind::Camera, &"andor".parse().unwrap());
-    stage.publish(Key::State(device), state).await;
+    let _camera = stage.publish(Key::State(device), state).await;
     let mut socket =
         Socket::open(&stage, "/ws?telescope=callisto", "").await.unwrap_or_else(|status| panic!("{status}"));
     // The stage reads each message with a JSON reader, which takes no NaN.
@@ -154,7 +153,7 @@ async fn the_log_socket_sends_each_line_once_also_where_times_are_equal_and_begi
     let stage = Stage::start().await;
     // A telescope of another site, whose log is empty.
     let far = contract::Address::new("oca", "io").unwrap();
-    stage.publish(Key::Observatory(far.clone(), Part::Night), sample("observatory.night")).await;
+    let _night = stage.publish(Key::Observatory(far.clone(), Part::Night), sample("observatory.night")).await;
     stage.until("/api/v1/network", |network| network["telescopes"].as_array().is_some_and(|all| all.len() == 2)).await;
     let mut socket =
         Socket::open(&stage, "/ws/log?telescope=oca/io", "").await.unwrap_or_else(|status| panic!("{status}"));
@@ -186,7 +185,7 @@ async fn the_log_socket_sends_each_line_once_also_where_times_are_equal_and_begi
     assert!(datetime.len() == 23 && datetime.as_bytes()[10] == b' ', "{datetime}");
     assert_eq!(socket.recv().await["log"], json!([]), "none is repeated");
 
-    stage.publish(Key::Observatory(far, Part::Schedule), sample("observatory.schedule")).await;
+    let _schedule = stage.publish(Key::Observatory(far, Part::Schedule), sample("observatory.schedule")).await;
     let mtime = socket.until(|message| message["schedule_mtime"] != json!(0.0)).await["schedule_mtime"].clone();
     assert!(mtime.as_f64().unwrap() > 1.7e9, "{mtime}");
     assert_eq!(socket.recv().await["schedule_mtime"], mtime, "the same schedule");
@@ -198,8 +197,8 @@ async fn the_log_socket_sends_each_line_once_also_where_times_are_equal_and_begi
 #[tokio::test(flavor = "multi_thread")]
 async fn of_several_telescopes_one_has_to_be_named_and_the_problem_names_them() {
     let stage = Stage::start().await;
-    telescope(&stage, "callisto").await;
-    telescope(&stage, "io").await;
+    let _telescope = telescope(&stage, "callisto").await;
+    let _io = telescope(&stage, "io").await;
     stage.until("/api/v1/network", |network| network["telescopes"].as_array().is_some_and(|all| all.len() == 2)).await;
     for path in
         ["/ws", "/ws/log", "/api/sky_data", "/api/db/guiding", "/api/db/polling/Dome", "/api/schedule", "/api/log"]
@@ -234,8 +233,8 @@ async fn a_user_without_the_right_opens_no_socket_and_one_who_loses_it_is_let_go
     let folder = with_users();
     add_user(folder.path(), "bob", &["viewer:paranal/io"]);
     let stage = Stage::start_with("", folder.path()).await;
-    telescope(&stage, "callisto").await;
-    telescope(&stage, "io").await;
+    let _telescope = telescope(&stage, "callisto").await;
+    let _io = telescope(&stage, "io").await;
     let (ana, bob) = (stage.session("ana").await, stage.session("bob").await);
     for path in ["/ws", "/ws/log"] {
         assert_eq!(refused(&stage, &format!("{path}?telescope=paranal/io"), "").await.0, 401);
@@ -268,7 +267,7 @@ async fn a_user_without_the_right_opens_no_socket_and_one_who_loses_it_is_let_go
 #[tokio::test(flavor = "multi_thread")]
 async fn these_sockets_count_among_the_places_of_all() {
     let stage = Stage::start().await;
-    telescope(&stage, "callisto").await;
+    let _telescope = telescope(&stage, "callisto").await;
     let mut open = Vec::new();
     let full = loop {
         let path = if open.len() % 2 == 0 { "/ws?telescope=callisto" } else { "/ws/log?telescope=callisto" };
@@ -302,7 +301,7 @@ async fn archive(stage: &Stage, answer: Value) -> (bus::Service, Questions) {
 #[tokio::test(flavor = "multi_thread")]
 async fn polled_numbers_come_a_row_per_minute_with_limits_and_twilight() {
     let stage = Stage::start().await;
-    telescope(&stage, "callisto").await;
+    let _telescope = telescope(&stage, "callisto").await;
     let point = |at: &str, value: f64| json!({"at_utc": at, "count": 2, "min": value, "mean": value, "max": value});
     let series = |kind: &str, device: &str, property: &str, points: Value| json!({"series": {"kind": kind, "device": device, "property": property, "piece_s": 60.0, "points": points, "gaps": []}});
     let first = "2026-11-21T03:10:00Z";
@@ -369,7 +368,7 @@ async fn polled_numbers_come_a_row_per_minute_with_limits_and_twilight() {
 #[tokio::test(flavor = "multi_thread")]
 async fn corrections_of_the_guide_loop_come_from_the_archive() {
     let stage = Stage::start().await;
-    telescope(&stage, "callisto").await;
+    let _telescope = telescope(&stage, "callisto").await;
     let correction = sample("observatory.correction");
     let (_archive, questions) =
         archive(&stage, json!({"rows": [{"correction": correction}], "truncated": false})).await;
@@ -389,7 +388,7 @@ async fn corrections_of_the_guide_loop_come_from_the_archive() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_sky_is_that_of_the_site_and_pages_lead_to_the_telescope() {
     let stage = Stage::start().await;
-    telescope(&stage, "callisto").await;
+    let _telescope = telescope(&stage, "callisto").await;
     let (status, sky) = stage.get("/api/sky_data").await;
     assert_eq!((status.as_u16(), &sky["status"]), (200, &json!("success")), "{sky}");
     let data = &sky["data"];
@@ -471,7 +470,7 @@ mod proof {
     #[tokio::test(flavor = "multi_thread")]
     async fn the_socket_sends_its_tables_once_a_second() {
         let stage = Stage::start().await;
-        telescope(&stage, "callisto").await;
+        let _telescope = telescope(&stage, "callisto").await;
         let mut socket = Socket::open(&stage, "/ws", "").await.unwrap_or_else(|status| panic!("{status}"));
         socket.until(|tables| tables["table0"].as_array().is_some_and(|rows| rows.len() == 8)).await;
         let started = std::time::Instant::now();

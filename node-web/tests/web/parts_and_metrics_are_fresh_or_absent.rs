@@ -16,7 +16,7 @@ async fn each_part_has_its_age_and_one_that_was_never_received_is_not_found() {
     let (status, problem) = stage.get(&format!("{TELESCOPE}/safety")).await;
     assert_eq!((status.as_u16(), &problem["code"]), (404, &json!("not-found")), "{problem}");
     let _safety =
-        stage.keep_publishing(Key::Observatory(address("callisto"), Part::Safety), sample("observatory.safety")).await;
+        stage.publish(Key::Observatory(address("callisto"), Part::Safety), sample("observatory.safety")).await;
     let safety = stage.until(&format!("{TELESCOPE}/safety"), |safety| safety["quality"] == "fresh").await;
     assert!(safety["body"].is_object() && safety["period_s"] == 1.0, "{safety}");
     assert!(safety["age_s"].as_f64().is_some_and(|age_s| (0.0..5.0).contains(&age_s)), "{safety}");
@@ -52,9 +52,9 @@ async fn what_is_stale_is_absent_from_the_metrics() {
         tokio::time::timeout(LIMIT, asked).await.unwrap()
     };
     let night = Key::Observatory(address("callisto"), Part::Night);
-    let night = stage.keep_publishing(night, sample("observatory.night")).await;
+    let night = stage.publish(night, sample("observatory.night")).await;
     let dome = address("callisto").device(Kind::Dome, &"d".parse().unwrap());
-    let dome = stage.keep_publishing(Key::State(dome), sample("dome.state")).await;
+    let dome = stage.publish(Key::State(dome), sample("dome.state")).await;
     let live = text_that(&|text| {
         text.contains(&up(1)) && text.contains("starmesh_frames{") && text.contains("property=\"ShutterStatus\"")
     })

@@ -7,12 +7,13 @@ pub mod socket;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use bus::{Bus, Clock, Publisher};
+use bus::{Bus, Clock};
 use contract::node::NodeState;
 use contract::{Address, Key, NodeTopic, Payload, Role};
 use node::Node;
 use serde_json::Value;
 use test_support::{LIMIT, PARANAL, RunningNode, block, join, private_bus, within};
+use tokio::sync::watch;
 
 pub struct Stage {
     pub bus: Bus,
@@ -55,21 +56,13 @@ impl Stage {
         self.url.split("://").nth(1).unwrap()
     }
 
-    pub async fn publish<T: Payload>(&self, key: Key, body: T) -> Publisher<T> {
+    /// Publishes this twice a second until it is dropped, as a node does: on a busy machine it is fresh now and then, and no
+    /// sample that is lost matters.
+    pub async fn publish<T: Payload>(&self, key: Key, body: T) -> Published<T> {
         let publisher = self.bus.publisher(&key).await.unwrap();
-        publisher.put(body).await.unwrap();
-        publisher
-    }
-
-    /// Publishes this twice a second until it is dropped: on a busy machine it is fresh now and then.
-    pub async fn keep_publishing(&self, key: Key, body: Value) -> Kept {
-        let publisher = self.publish(key, body.clone()).await;
-        Kept(tokio::spawn(async move {
-            loop {
-                tokio::time::sleep(Duration::from_millis(500)).await;
-                publisher.put(body.clone()).await.unwrap();
-            }
-        }))
+        let (sender, values) = watch::channel(body);
+        tokio::spawn(async move { publisher.follow(values, Duration::from_millis(500)).await.unwrap() });
+        Published(sender)
     }
 
     pub async fn get(&self, path: &str) -> (reqwest::StatusCode, Value) {
@@ -97,12 +90,14 @@ impl Stage {
     }
 }
 
-/// What is published again and again.
-pub struct Kept(tokio::task::JoinHandle<()>);
+/// What is published again and again while this is held.
+#[must_use]
+pub struct Published<T>(watch::Sender<T>);
 
-impl Drop for Kept {
-    fn drop(&mut self) {
-        self.0.abort();
+impl<T> Published<T> {
+    /// From now on this, at once and again and again.
+    pub fn put(&self, body: T) {
+        self.0.send_replace(body);
     }
 }
 
