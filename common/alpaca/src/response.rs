@@ -33,7 +33,8 @@ pub fn parse(status: u16, body: &[u8], transactions: &Transactions, asked: u32) 
         if let Ok(object) = &object {
             ascom_error(object)?;
         }
-        return Err(AlpacaError::Http { status, body: excerpt(text) });
+        let said = object.as_ref().ok().and_then(said);
+        return Err(AlpacaError::Http { status, body: excerpt(said.as_deref().unwrap_or(text)) });
     }
     if text.is_empty() {
         return Ok(Answer { value: None });
@@ -80,6 +81,12 @@ pub fn parse_exactly(status: u16, body: &[u8], transactions: &Transactions, aske
     }
     transactions.check_exactly(asked, &Echo::of(object.get("ClientTransactionID"), true))?;
     Ok(Answer { value: object.shift_remove("Value") })
+}
+
+/// What a server's framework says in an error of its own form, such as a problem document.
+fn said(object: &Map<String, Value>) -> Option<String> {
+    let text = |name: &str| field(object, name).and_then(Value::as_str).map(str::trim).filter(|text| !text.is_empty());
+    ["ErrorMessage", "detail", "message", "error", "title"].into_iter().find_map(text).map(str::to_owned)
 }
 
 fn is_member(name: &str) -> bool {

@@ -121,6 +121,22 @@ fn what_a_sloppy_server_plainly_means_is_understood() {
 }
 
 #[test]
+fn of_an_error_in_the_servers_own_form_its_words_are_told_and_not_its_braces() {
+    for (body, words) in [
+        (
+            r#"{"type":"about:blank","title":"Internal Server Error","status":500,"detail":"the port is gone"}"#,
+            "the port is gone",
+        ),
+        (r#"{"message": " no such device "}"#, "no such device"),
+        (r#"{"Title":"Internal Server Error","Detail":""}"#, "Internal Server Error"),
+        (r#"{"code":7}"#, r#"{"code":7}"#),
+    ] {
+        let Err(AlpacaError::Http { status: 500, body: told }) = parse(500, body.as_bytes()) else { panic!("{body}") };
+        assert_eq!(told, words, "{body}");
+    }
+}
+
+#[test]
 fn a_list_of_names_is_a_list() {
     let answer = parse(200, br#"{"Value":["R","G",null]}"#).unwrap().value.unwrap();
     assert!(value::list(&answer, value::text).is_err());

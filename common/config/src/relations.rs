@@ -166,6 +166,30 @@ fn names(observatory: &Observatory, findings: &mut Findings<'_>) {
     }
 }
 
+/// What stands at a shared device and is decided by each telescope: who writes it here would believe that it protects.
+fn decided_elsewhere(observatory: &Observatory, findings: &mut Findings<'_>) {
+    let mut ignored = |path: &str, shown: &str, key: &str| {
+        let what = format!(
+            "{shown}{key} has no effect in the file of the shared devices: each telescope decides by {key} in [shared] of its \
+             own file; write it there"
+        );
+        findings.warning(&format!("{path}.{key}"), what);
+    };
+    for (path, shown, station) in blocks(&observatory.observingconditions) {
+        if !station.limit.is_empty() {
+            ignored(&path, &shown, "limit");
+        }
+    }
+    for (path, shown, monitor) in blocks(&observatory.safetymonitor) {
+        if monitor.dwell_min.to_bits() != crate::device::default_dwell_min().to_bits() {
+            ignored(&path, &shown, "dwell_min");
+        }
+        if monitor.max_age_s.is_some() {
+            ignored(&path, &shown, "max_age_s");
+        }
+    }
+}
+
 fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
     let own = observatory.place.telescope.as_str();
     let shared = own == Address::SHARED;
@@ -193,6 +217,9 @@ fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
         if dome.watchdog_action.is_some() && dome.watchdog_s.is_none() {
             findings.block(&path, &shown, "watchdog_action needs watchdog_s, its time limit");
         }
+    }
+    if shared {
+        decided_elsewhere(observatory, findings);
     }
     for (path, shown, camera) in blocks(&observatory.camera) {
         let pulses = camera.guide_calibration.iter().flat_map(crate::GuideStart::faults);

@@ -74,6 +74,25 @@ fn with(block: &str) -> Vec<String> {
 }
 
 #[test]
+fn what_each_telescope_decides_has_no_effect_at_a_shared_device_and_is_warned_of() {
+    let shared = "[observatory]\nsite = \"paranal\"\ntelescope = \"shared\"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n\
+                  elevation_m = 2518\n[[observingconditions]]\nname = \"wx\"\nserver = \"10.0.0.5:11111\"\nnumber = 0\n\
+                  limit = [{ parameter = \"WindSpeed\", upper = 12.0 }]\n[[safetymonitor]]\nname = \"cloud\"\n\
+                  server = \"10.0.0.5:11111\"\nnumber = 0\ndwell_min = 30\nmax_age_s = 20\n";
+    let (values, faults) = config::examine(shared, Path::new("/site"));
+    assert!(values.is_some(), "{faults:?}");
+    let warned: Vec<(usize, bool)> = faults
+        .iter()
+        .filter(|fault| fault.severity == Severity::Warning)
+        .map(|fault| (fault.line, fault.what.contains("[shared] of its own file")))
+        .collect();
+    assert_eq!(warned, [(11, true), (16, true), (17, true)], "{faults:#?}");
+    let (_, faults) =
+        config::examine(&shared.replace("limit =", "# limit =").replace("= 30", "= 15"), Path::new("/site"));
+    assert_eq!(faults.len(), 1, "{faults:#?}");
+}
+
+#[test]
 fn one_device_under_two_names_of_its_server_is_one_device() {
     for (one, other) in [
         ("localhost:11111", "127.0.0.1:11111"),

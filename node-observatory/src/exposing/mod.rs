@@ -209,7 +209,8 @@ fn command(context: &RowContext, series: &Series, shot: &Shot, action: &str, seq
     };
     Command::Expose {
         exposure_s: shot.exposure_s,
-        light: !matches!(shot.image_type, "Bias Frame" | "Dark Frame"),
+        // What takes no time needs no shutter, whatever it is for.
+        light: shot.exposure_s > 0.0 && !matches!(shot.image_type, "Bias Frame" | "Dark Frame"),
         bin: series.bin,
         subframe: series.subframe,
         purpose: Box::new(purpose),

@@ -161,27 +161,21 @@ impl<'a> FlatsRun<'a> {
 
     async fn look(&self, index: usize, exposure_s: f64) -> Result<Seen, ActionError> {
         let words = format!("how bright is {}: {exposure_s} s", self.words(index));
-        self.aside(TEST, self.filter(index), exposure_s, words).await
+        self.aside(self.filter(index), exposure_s, words).await
     }
 
-    /// Median without light.
+    /// Median without light. Its frame is small and none of the night's calibrations, so its type is not theirs.
     async fn bias_adu(&self) -> Result<f64, ActionError> {
-        match self.aside("Bias Frame", None, 0.0, "a bias frame".to_owned()).await?.level {
+        match self.aside(None, 0.0, "a bias frame".to_owned()).await?.level {
             Level::Adu(adu) => Ok(adu),
             Level::Saturated => Err(unmeasured(self.context, "a bias frame is saturated")?),
         }
     }
 
-    async fn aside(
-        &self,
-        kind: &'static str,
-        filter: Option<String>,
-        s: f64,
-        words: String,
-    ) -> Result<Seen, ActionError> {
-        let open_sky = self.request.moves && kind == TEST;
+    async fn aside(&self, filter: Option<String>, exposure_s: f64, words: String) -> Result<Seen, ActionError> {
+        let open_sky = self.request.moves && exposure_s > 0.0;
         let series = Series { filter, subframe: Some(self.part), open_sky, ..self.request.series.clone() };
-        let shot = Shot { exposure_s: s, image_type: kind, words };
+        let shot = Shot { exposure_s, image_type: TEST, words };
         let frame = aside(self.context, &series, &shot, ACTION).await?;
         measured(self.context, &frame, true).await
     }

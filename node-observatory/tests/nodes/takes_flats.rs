@@ -137,6 +137,9 @@ async fn at_dusk_the_least_sensitive_filter_comes_first_and_a_restart_goes_on_co
     let looks = subscribers.received.iter().filter(|frame| frame.purpose.image_type == "Test Frame");
     assert!(looks.clone().count() >= 2);
     assert!(looks.clone().all(|frame| frame.width_px == 256 && frame.purpose.action == "flats_level"));
+    // So is the level without light: small frames among a night's biases would be combined with them.
+    assert!(looks.clone().any(|frame| frame.exposure_s == 0.0));
+    assert!(subscribers.received.iter().all(|frame| frame.purpose.image_type != "Bias Frame"));
     // Each flat looked elsewhere, and none near the Sun.
     let slews = sim.simulator.world().puts_since(0).into_iter().filter(|put| put.member == "slewtocoordinatesasync");
     let places: Vec<String> = slews.map(|put| put.parameters).collect();

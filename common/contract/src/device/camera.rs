@@ -169,7 +169,7 @@ pub struct Purpose {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub object: Option<String>,
     /// IMAGETYP keyword: `Light Frame`, `Acquisition Frame`, `Dark Frame`, `Bias Frame`, `Flat Frame`, or
-    /// `Test Frame`, which shows how bright a flat would be.
+    /// `Test Frame`, which shows how bright a flat would be, or with 0 s the level without light.
     pub image_type: String,
     /// Name of the filter in the beam.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -20,7 +20,7 @@ pub(super) fn check(rows: &[Row], now: Option<Utc>) -> Vec<Finding> {
     for row in named {
         let what = match passed.len() == rows.len() && rows.len() > 1 {
             true => format!("the windows of all {} rows have passed: nothing will be done", rows.len()),
-            false => format!("its window passed at {}: it will be skipped", when(row.end)),
+            false => format!("its window passed at {}: nothing more will be done of it", when(row.end)),
         };
         findings.push(warning(Check::Time, row.written.field("end_time"), Some("end_time"), what));
     }
