@@ -126,6 +126,7 @@ pub async fn run(node: node::Node) -> anyhow::Result<()> {
         drafts: drafts::Drafts::of(&node.config),
         forecasts: Semaphore::new(server::FORECASTS),
         plans: Default::default(),
+        tested: Default::default(),
         sockets: Places::new(socket::ROOM),
         config: node.config.clone(),
     };

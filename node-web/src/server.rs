@@ -45,6 +45,8 @@ pub struct Server {
     pub forecasts: Semaphore,
     /// Forecasts of the schedules in force.
     pub plans: Forecasts,
+    /// When a test message was sent last: nobody's telephone is to ring without an end.
+    pub tested: Mutex<Option<MachineTime>>,
     /// Sockets open now.
     pub sockets: Arc<Places>,
     /// The file of this node: the place of its site, and the limits of its telescope.

@@ -1,7 +1,9 @@
 // Settings, users and the audit: who is signed in, sessions, tokens, and who moved what.
 import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
-import { PASSWORD, TEST, becomes, launch, newPage, problemsOf, settled, startRecorded, startWithUser } from "./browser.js";
+import { appendFileSync } from "node:fs";
+import http from "node:http";
+import { PASSWORD, TEST, becomes, launch, newPage, problemsOf, settled, startAlone, startRecorded, startWithUser } from "./browser.js";
 
 let site, url, browser;
 
@@ -46,6 +48,38 @@ test("a person sees what they may do, makes a token for a program, removes it, a
   await page.getByRole("button", { name: /End the session of ana/ }).click();
   await page.locator("#login").waitFor();
   await page.close();
+});
+
+test("a test message goes to everybody who gets alerts, and what came of each is told", TEST, async () => {
+  const got = [];
+  const server = http.createServer((request, response) => {
+    let body = "";
+    request.on("data", (data) => { body += data; });
+    request.on("end", () => { got.push(JSON.parse(body)); response.writeHead(request.url === "/night" ? 200 : 403).end(); });
+  });
+  await new Promise((resolve) => { server.listen(0, "127.0.0.1", resolve); });
+  const at = `http://127.0.0.1:${/** @type {any} */ (server.address()).port}`;
+  const hook = (name, path) => `[[alerts.webhook]]\nname = "${name}"\nurl = "${at}/${path}"\n`;
+  const site = await startAlone((file) => appendFileSync(file, hook("desk", "night") + hook("old-desk", "moved")));
+  try {
+    const page = await newPage(browser, { viewport: { width: 390, height: 844 } });
+    await page.goto(`${site.url}/settings`);
+    await settled(page);
+    await page.getByRole("button", { name: "Send a test message" }).click();
+    const told = page.locator('[data-testid="messages"]');
+    await told.getByText("desk webhook taken by its server: look whether it arrives", { exact: true }).waitFor();
+    await told.getByText(/^old-desk webhook not sent: it answered 403/).waitFor();
+    assert.equal(got.length, 2);
+    assert.match(got[0].text, /Nothing is wrong\./);
+    await page.getByRole("button", { name: "Send a test message" }).click();
+    await told.getByRole("alert").getByText(/sent a moment ago\. Try again in \d+ s/).waitFor();
+    assert.equal(got.length, 2);
+    await page.close();
+  } finally {
+    await site.end();
+    server.closeAllConnections();
+    server.close();
+  }
 });
 
 test("the audit has a line for each command with what became of it, and is searched", TEST, async () => {

@@ -2,15 +2,19 @@
 
 use std::fmt::Write as _;
 
-use contract::observatory::{Alert, AlertEvent, Priority};
+use contract::observatory::{Alert, AlertEvent, AlertKind, Priority};
 use contract::{Address, printable};
 use serde_json::{Value, json};
+use units::Utc;
 
 /// Chat services and mail servers refuse messages that are too long.
 const MOST_IN_FULL: usize = 20;
 const MOST_CHARS: usize = 1000;
 /// ntfy makes a file of a message of more bytes than 4,096.
 const MOST_BYTES_NTFY: usize = 3500;
+
+/// What a test message has in the place of an alert's id.
+const TEST: &str = "test-message";
 
 /// One event of one alert.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,6 +33,19 @@ pub struct Letter {
 }
 
 impl Letter {
+    /// A message that only tests whether it arrives, as loud as an alert that somebody must see tonight.
+    pub fn test(by: &str, now: Utc) -> Self {
+        let cause = format!("{by} tests whether messages arrive here.");
+        let alert = Alert {
+            id: TEST.to_owned(),
+            priority: Priority::High,
+            consequence: "Nothing is wrong.".to_owned(),
+            action: "Nothing: it has arrived.".to_owned(),
+            ..AlertKind::AlertNotSent.alert(TEST, now, &cause)
+        };
+        Self { news: vec![News { event: AlertEvent::Raised, alert }] }
+    }
+
     /// One line that summarizes the letter; a mail's subject.
     pub fn subject(&self, address: &Address) -> String {
         match self.news.as_slice() {
@@ -53,7 +70,9 @@ impl Letter {
             match event {
                 AlertEvent::Raised => {
                     let _ = writeln!(text, "Consequence: {consequence}\nWhat to do: {action}");
-                    let _ = writeln!(text, "Acknowledge: starmesh order {address} ack {id}");
+                    if id != TEST {
+                        let _ = writeln!(text, "Acknowledge: starmesh order {address} ack {id}");
+                    }
                 }
                 AlertEvent::Acknowledged => {
                     let _ = writeln!(text, "by {}", printable(alert.acknowledged_by.as_deref().unwrap_or("somebody")));
@@ -129,14 +148,25 @@ fn cut(cause: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use contract::observatory::AlertKind;
-    use units::Utc;
-
     use super::*;
 
     fn letter(ids: usize, cause: &str) -> Letter {
         let alert = |number| AlertKind::DomeHeld.alert(format_args!("d{number}"), Utc::EPOCH, cause);
         Letter { news: (0..ids).map(|n| News { event: AlertEvent::Raised, alert: alert(n) }).collect() }
+    }
+
+    #[test]
+    fn a_test_message_is_loud_and_asks_for_nothing() {
+        let address = Address::new("s", "t").unwrap();
+        let letter = Letter::test("ana", Utc::EPOCH);
+        let text = letter.text(&address, Some("https://t.example"));
+        assert!(
+            text.contains("ana tests whether messages arrive here.") && text.contains("Nothing is wrong."),
+            "{text}"
+        );
+        assert!(!text.contains("starmesh order") && text.ends_with("https://t.example/t/s/t"), "{text}");
+        assert_eq!(letter.subject(&address), "[s/t] high raised: test-message");
+        assert_eq!(letter.ntfy(&address, "topic", None)["priority"], 4);
     }
 
     #[test]

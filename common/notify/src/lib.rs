@@ -22,5 +22,6 @@ pub mod secret;
 mod sending;
 mod stand_in;
 
+pub use post::{TestSent, send_test};
 pub use sending::{keep_pinging, keep_sending};
 pub use stand_in::keep_substituting;

@@ -5,9 +5,11 @@ use std::time::Duration;
 use bus::MachineTime;
 use config::{Alerting, Format, Ping, Smtp, Webhook};
 use contract::observatory::{AlertKind, Alerts, Priority};
+use futures_util::future::join_all;
 use internet::Method;
 use node::Node;
 use tokio::sync::watch;
+use units::Utc;
 
 use crate::http::{Ask, Http};
 use crate::letter::Letter;
@@ -33,6 +35,17 @@ pub struct Receiver {
     way: Way,
 }
 
+/// What came of a message that tests whether it arrives.
+#[derive(Debug, Clone)]
+pub struct TestSent {
+    /// The receiver's name.
+    pub receiver: String,
+    /// `webhook`, `ntfy` or `e-mail`.
+    pub way: &'static str,
+    /// Why it was not taken; its server took it where this is absent.
+    pub error: Option<String>,
+}
+
 #[derive(Clone)]
 enum Way {
     Webhook(Webhook),
@@ -42,6 +55,27 @@ enum Way {
         /// All addresses of this `[[alerts.email]]`.
         all: Vec<String>,
     },
+}
+
+impl Way {
+    fn word(&self) -> &'static str {
+        match self {
+            Self::Webhook(hook) if hook.format == Format::Ntfy => "ntfy",
+            Self::Webhook(_) => "webhook",
+            Self::Email { .. } => "e-mail",
+        }
+    }
+}
+
+/// Sends all receivers of a configuration a message that tests whether it arrives, at the same time; `by` is who asks for it.
+pub async fn send_test(config: &config::Observatory, by: &str, now: Utc) -> Vec<TestSent> {
+    let letter = &Letter::test(by, now);
+    let sent = receivers(&config.alerts).into_iter().map(async |receiver| {
+        let error = deliver(config, &mut Http::default(), &receiver.way, letter).await.err();
+        let error = error.map(|error| format!("{error:#}"));
+        TestSent { way: receiver.way.word(), receiver: receiver.name, error }
+    });
+    join_all(sent).await
 }
 
 /// All receivers that are configured.
@@ -95,7 +129,7 @@ pub async fn keep_delivering(
             }
         }
         if let Some(letter) = mailbox.due(now) {
-            match deliver(&node, &mut http, &way, &letter).await {
+            match deliver(&node.config, &mut http, &way, &letter).await {
                 Ok(()) => {
                     mailbox.sent(&letter, clock.machine(), clock.utc());
                     node.alerts.set_notifications(&name, mailbox.notifications());
@@ -112,9 +146,9 @@ pub async fn keep_delivering(
     }
 }
 
-async fn deliver(node: &Node, http: &mut Http, way: &Way, letter: &Letter) -> anyhow::Result<()> {
-    let alerting = &node.config.alerts;
-    let (address, ca_file, page) = (node.config.address(), alerting.ca_file.as_deref(), alerting.page.as_deref());
+async fn deliver(config: &config::Observatory, http: &mut Http, way: &Way, letter: &Letter) -> anyhow::Result<()> {
+    let alerting = &config.alerts;
+    let (address, ca_file, page) = (config.address(), alerting.ca_file.as_deref(), alerting.page.as_deref());
     match way {
         Way::Webhook(hook) => {
             let token = secret(hook.token_file.as_deref(), hook.token_env.as_deref()).await?;

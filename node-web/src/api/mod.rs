@@ -28,7 +28,7 @@ use crate::commands::{self, CommandRequest, CommandsQuery, OrderOffered};
 use crate::problem::{Code, Problem};
 use crate::routes::{
     frames, health, heartbeat, history, legacy, login, metrics, network, parts, preview, records, reports, sessions,
-    sky, tokens,
+    sky, test_messages, tokens,
 };
 use crate::server::Server;
 use crate::socket;
@@ -213,6 +213,9 @@ fn general() -> Vec<Endpoint> {
             .summary("Active alerts of all telescopes, the most urgent first.")
             .query::<parts::AlertsQuery>()
             .gives::<Vec<parts::AlertOfTelescope>>("The alerts."),
+        Endpoint::post("/api/v1/alerts/test", "test_alerts", Needs::Anywhere(Operator), test_messages::send)
+            .summary("Sends a message that says that it is a test to everybody who gets alerts of this server's telescope; at most each 10 s.")
+            .gives::<test_messages::TestMessages>("What came of each message."),
         Endpoint::get(
             "/api/v1/telescopes/{site}/{telescope}/commands/catalog",
             "command_catalog",

@@ -11,7 +11,8 @@ use contract::Address;
 use contract::observatory::{Alert, Posture};
 use users::Principal;
 
-use crate::routes::page;
+use crate::routes::network::WebcamInNetwork;
+use crate::routes::{network, page};
 use crate::server::Server;
 use crate::summary::{Face, Mode, SafetyWord, Summary};
 
@@ -29,12 +30,13 @@ pub async fn lite(State(server): State<Arc<Server>>, Extension(caller): Extensio
         let address = Address { site: site_id.clone(), telescope: telescope_id.clone() };
         !summary.face.shared && caller.right_at(&address).is_some()
     };
-    let text = html(summaries.iter().filter(may_see), &server.network.clock().utc().to_string());
+    let webcams = network::webcams(&server, &caller);
+    let text = html(summaries.iter().filter(may_see), &webcams, &server.network.clock().utc().to_string());
     let named = [(header::CONTENT_TYPE, page::HTML), (header::CACHE_CONTROL, "no-store")];
     (named, text).into_response()
 }
 
-fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, now: &str) -> String {
+fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, webcams: &[WebcamInNetwork], now: &str) -> String {
     let mut text = format!(
         "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><meta http-equiv=\"refresh\" content=\"{AGAIN_S}\">\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><title>Starmesh, plain</title>\
@@ -47,6 +49,15 @@ fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, now: &str) -> String {
     for summary in summaries {
         known += 1;
         telescope(&mut text, summary);
+        let Face { site_id, telescope_id, .. } = &summary.face;
+        let shown = webcams
+            .iter()
+            .filter(|one| one.site_id == *site_id && one.telescope_id.as_ref().is_none_or(|id| id == telescope_id));
+        let links: Vec<String> = shown.map(link).collect();
+        if !links.is_empty() {
+            let _ = write!(text, "<p>To look at it: {}</p>", links.join(", "));
+        }
+        text.push_str("</section>");
     }
     if known == 0 {
         text.push_str("<p>No telescope on the bus yet.</p>");
@@ -80,7 +91,7 @@ fn telescope(text: &mut String, Summary { face, ages }: &Summary) {
     // A device node that goes on may report that it stands open again.
     let is_quiet = face.alerts.is_empty() && face.domes.is_empty();
     if let Some(stopped) = face.stopped.as_ref().filter(|stopped| stopped.is_closed() && is_quiet) {
-        let _ = write!(text, "<p>{}, {age}</p></section>", escaped(&stopped.text));
+        let _ = write!(text, "<p>{}, {age}</p>", escaped(&stopped.text));
         return;
     }
     let _ =
@@ -88,7 +99,12 @@ fn telescope(text: &mut String, Summary { face, ages }: &Summary) {
     list(text, face.domes.iter().cloned());
     list(text, face.safety.reasons.iter().map(|reason| format!("{} {}", reason.input, reason.why)));
     list(text, face.alerts.iter().map(told));
-    let _ = write!(text, "<p>To close it: <code>starmesh order {id} close</code></p></section>");
+    let _ = write!(text, "<p>To close it: <code>starmesh order {id} close</code></p>");
+}
+
+/// A webcam's picture, from its own server.
+fn link(webcam: &WebcamInNetwork) -> String {
+    format!("<a href=\"{}\" rel=\"noreferrer\">{}</a>", escaped(&webcam.url), escaped(&webcam.name))
 }
 
 fn told(alert: &Alert) -> String {
@@ -124,7 +140,7 @@ mod tests {
             "cause": "<img src=x onerror=\"a()\">", "consequence": "c", "action": "d"}]});
         network.accept(received("paranal/callisto/observatory/alerts/state", "b1", 1, 0, alert));
         let summaries = network.summaries();
-        let page = html(summaries.iter(), "now");
+        let page = html(summaries.iter(), &[], "now");
         assert!(page.contains("SAFETY UNKNOWN") && page.contains("DOME UNKNOWN"), "{page}");
         assert!(page.contains("critical: &lt;img") && !page.contains("<img"), "{page}");
     }
@@ -136,10 +152,29 @@ mod tests {
         let page = |stopped| {
             let network = Network::new(Clock::machine_clock(), address.clone());
             network.accept(received("paranal/callisto/node/observatory/main/state", "b1", 1, 100, state(stopped)));
-            html(network.summaries().iter(), "now")
+            html(network.summaries().iter(), &[], "now")
         };
         let runs = page(serde_json::Value::Null);
         assert!(runs.contains("<code>starmesh order paranal/callisto close</code>"), "{runs}");
+        let webcam = |name: &str, telescope: Option<&str>| WebcamInNetwork {
+            name: name.to_owned(),
+            url: "https://cams.example/a?b=1&c=\"".to_owned(),
+            site_id: "paranal".parse().unwrap(),
+            telescope_id: telescope.map(|id| id.parse().unwrap()),
+            period_s: 60.0,
+        };
+        let network = Network::new(Clock::machine_clock(), address.clone());
+        network.accept(received(
+            "paranal/callisto/node/observatory/main/state",
+            "b1",
+            1,
+            100,
+            state(serde_json::Value::Null),
+        ));
+        let webcams = [webcam("<Sky>", None), webcam("Dome", Some("callisto")), webcam("Other", Some("io"))];
+        let seen = html(network.summaries().iter(), &webcams, "now");
+        let sky = "<a href=\"https://cams.example/a?b=1&amp;c=&quot;\" rel=\"noreferrer\">&lt;Sky&gt;</a>, <a ";
+        assert!(seen.contains(sky) && seen.contains(">Dome</a>") && !seen.contains("Other"), "{seen}");
         let stopped = page(json!({"by": "starmesh up on pc", "closed": true}));
         assert!(stopped.contains("stopped by starmesh up on pc, closed") && !stopped.contains("UNKNOWN"), "{stopped}");
     }
@@ -158,7 +193,7 @@ mod tests {
         ] {
             network.accept(received(&format!("paranal/callisto/{key}/state"), "b1", 1, 0, body));
         }
-        let page = html(network.summaries().iter(), "now");
+        let page = html(network.summaries().iter(), &[], "now");
         assert!(page.contains("stopped by starmesh up on pc, closed") && page.contains("it is half open"), "{page}");
     }
 }

@@ -16,4 +16,5 @@ pub mod records;
 pub mod reports;
 pub mod sessions;
 pub mod sky;
+pub mod test_messages;
 pub mod tokens;

@@ -56,7 +56,7 @@ pub struct WebcamInNetwork {
 }
 
 /// The webcams of the file of this server that a caller may see: who may see a telescope of a site may see the site.
-fn webcams(server: &Server, caller: &Principal) -> Vec<WebcamInNetwork> {
+pub fn webcams(server: &Server, caller: &Principal) -> Vec<WebcamInNetwork> {
     let model = server.network.read();
     let place = &server.config.place;
     let seen: Vec<&Address> = model.telescopes.keys().filter(|address| caller.right_at(address).is_some()).collect();

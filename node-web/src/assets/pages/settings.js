@@ -24,6 +24,26 @@ async function act(text, work, after) {
   }
 }
 
+function Messages() {
+  const sent = useSignal(null);
+  const sending = useSignal(false);
+  const send = async () => {
+    sending.value = true;
+    try {
+      sent.value = await ask("/api/v1/alerts/test", { method: "POST" });
+    } catch (error) {
+      sent.value = { problem: error.message };
+    }
+    sending.value = false;
+  };
+  const { problem, receivers = [], telescope } = sent.value ?? {};
+  const result = problem ? html`<p class="note p2" role="alert"><span class="grow">${problem}</span></p>`
+    : receivers.length ? html`<ul class="list" role="status">${receivers.map((one) => html`<li key=${one.name}><b>${one.name}</b> <span class="m">${one.way}</span> ${one.error ? html`<span class="ink-p2">not sent: ${one.error}</span>` : "taken by its server: look whether it arrives"}</li>`)}</ul>`
+      : html`<p class="note p2" role="status"><span class="grow"><b>Nobody is told of alerts of ${telescope}.</b> [alerts] of its file names no receiver.</span></p>`;
+  return html`<${Card} name="Messages to people" testid="messages" end=${html`<button class="btn sm soft" disabled=${sending.value} onClick=${send}>${sending.value ? "Sending …" : "Send a test message"}</button>`}>
+    <p class="m">Alerts go to telephones and mailboxes by [alerts] of the file of this server's telescope. A test message goes to all of them, and says that nothing is wrong.</p>${sent.value && result}<//>`;
+}
+
 function You() {
   const who = me.value;
   if (!who) return html`<${Card} name="You"><p class="m">Asking …</p><//>`;
@@ -86,5 +106,5 @@ starmesh user remove bob
 starmesh user list</pre><p class="m">What changes counts within 2 s. Nobody has to log in again for another right.</p><dl class="kv">${Object.entries(RIGHTS).map(([right, may]) => [html`<dt key=${right}><b>${right}</b></dt>`, html`<dd key=${`${right}d`}>${may}</dd>`])}</dl><//>`;
 
 export function Settings() {
-  return html`<div class="page-h"><h1 tabindex="-1">Settings and users</h1></div><div class="grid g2"><div class="stack"><${You} /><${Browser} /></div><${Users} /></div><${Sessions} /><${Tokens} />`;
+  return html`<div class="page-h"><h1 tabindex="-1">Settings and users</h1></div><div class="grid g2"><div class="stack"><${You} /><${Browser} /><${Messages} /></div><${Users} /></div><${Sessions} /><${Tokens} />`;
 }
