@@ -26,13 +26,16 @@ pub struct Options {
     /// Take windows for past that end before this instant, UTC; now where absent.
     #[arg(long, value_name = "TIME")]
     at: Option<Utc>,
+    /// Send everybody who gets alerts, by `[alerts]`, a message that says that it is a test.
+    #[arg(long)]
+    send_test_message: bool,
 }
 
 /// Proves the file, and the FITS-header table, the star catalogue and the schedule that it names.
 ///
 /// # Errors
 /// The reason why a file is refused; a schedule whose rows are only at risk is valid.
-pub fn run(options: &Options) -> anyhow::Result<()> {
+pub async fn run(options: Options) -> anyhow::Result<()> {
     if options.file.extension().is_some_and(|ending| ending == "jsonl") {
         let default = options.file.with_file_name("observatory.toml");
         let of = options.config.as_deref().unwrap_or(&default);
@@ -41,12 +44,36 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         return schedule(&options.file, config, options.at);
     }
     let config = configuration(&options.file)?;
+    let sent = if options.send_test_message { send_test_message(&config).await } else { Ok(()) };
     let file = config.schedule.file.clone();
-    if !file.exists() {
+    if file.exists() {
+        schedule(&file, config, options.at)?;
+    } else {
         line(format_args!("  no schedule yet at {}", file.display()))?;
-        return Ok(());
     }
-    schedule(&file, config, options.at)
+    sent
+}
+
+/// Prints what came of it for each receiver.
+async fn send_test_message(config: &Observatory) -> anyhow::Result<()> {
+    let by = format!("starmesh check on {}", sysinfo::System::host_name().unwrap_or_default());
+    let sent = notify::send_test(config, &by, bus::Clock::machine_clock().utc()).await;
+    if sent.is_empty() {
+        bail!("no test message was sent: [alerts] names nobody who gets any");
+    }
+    for notify::TestSent { receiver, way, error } in &sent {
+        match error {
+            None => line(format_args!(
+                "  test message to {receiver} ({way}): taken by its server; look whether it arrives"
+            ))?,
+            Some(why) => foreign_line(format_args!("  test message to {receiver} ({way}): not sent: {why}"))?,
+        }
+    }
+    let missed = sent.iter().filter(|one| one.error.is_some()).count();
+    if missed > 0 {
+        bail!("{missed} of {} who get alerts were not reached", sent.len());
+    }
+    Ok(())
 }
 
 /// Prints all faults of a configuration and of the files that it names, and its content if there are none.

@@ -125,7 +125,7 @@ fn main() -> ExitCode {
         Command::Demo(options) => block_on(demo::run(options)),
         Command::Init(options) => block_on(init::run(options)),
         Command::Up(options) => block_on(up::run(options)),
-        Command::Check(options) => check::run(&options),
+        Command::Check(options) => block_on(check::run(options)),
         Command::Plan(options) => plan::run(&options),
         Command::Actions(options) => actions::run(&options),
         Command::Status(options) => block_on(status::run(options)),

@@ -2,6 +2,7 @@
 //! run.
 
 use std::fs;
+use std::io::{Read as _, Write as _};
 use std::net::TcpListener;
 
 use crate::command::starmesh;
@@ -110,6 +111,42 @@ fn every_wrong_file_is_reported_by_the_program_with_its_line() {
     }
     let count = WRONG.len() + FILES.len();
     assert!(failed.is_empty(), "{} of {count}:\n\n{}", failed.len(), failed.join("\n\n"));
+}
+
+#[test]
+fn a_test_message_goes_to_those_who_get_alerts_and_who_was_not_reached_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("observatory.toml");
+    let server = TcpListener::bind("127.0.0.1:0").unwrap();
+    let receivers = format!(
+        "[[alerts.webhook]]\nname = \"desk\"\nurl = \"http://{}/night\"\n[[alerts.webhook]]\nname = \"gone\"\n\
+         url = \"http://127.0.0.1:1/\"\n",
+        server.local_addr().unwrap()
+    );
+    fs::write(&file, format!("{GOOD}{receivers}")).unwrap();
+    let taken = std::thread::spawn(move || {
+        let (mut stream, _) = server.accept().unwrap();
+        let (mut got, mut part) = (String::new(), [0; 4096]);
+        while !got.contains("Nothing is wrong.") {
+            let count = stream.read(&mut part).unwrap();
+            assert!(count > 0, "{got}");
+            got += &String::from_utf8_lossy(&part[..count]);
+        }
+        stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 0\r\n\r\n").unwrap();
+    });
+    let output = starmesh(["check", &file.display().to_string(), "--send-test-message"]);
+    taken.join().unwrap();
+    assert!(
+        !output.success && output.err.contains("1 of 2 who get alerts were not reached"),
+        "{}{}",
+        output.out,
+        output.err
+    );
+    assert!(output.out.contains("  test message to desk (webhook): taken by its server"), "{}", output.out);
+    assert!(output.out.contains("  test message to gone (webhook): not sent: it cannot be reached"), "{}", output.out);
+    fs::write(&file, GOOD).unwrap();
+    let output = starmesh(["check", &file.display().to_string(), "--send-test-message"]);
+    assert!(!output.success && output.err.contains("[alerts] names nobody"), "{}{}", output.out, output.err);
 }
 
 #[test]
