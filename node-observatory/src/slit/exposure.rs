@@ -60,7 +60,16 @@ pub async fn through_the_slit(
             _ = stirred.changed(), if !watches.is_empty() => {}
             () = tokio::time::sleep(LOOK), if !watches.is_empty() => {}
         }
-        began = began.or_else(|| begin(clock, camera, frame));
+        if began.is_none()
+            && let Some(at) = begin(clock, camera, frame)
+        {
+            // Until now it was taken to have begun when it was accepted. What began long before, as after a restart, was
+            // looked at in other moments than that: a jump over them would count their light as lost.
+            if accepted.since(at).as_secs_f64() > LATE_S * clock.speed() {
+                watches.iter_mut().for_each(|watch| watch.light = None);
+            }
+            began = Some(at);
+        }
         let now_s = clock.sky().since(began.unwrap_or(accepted)).as_secs_f64();
         watches.iter_mut().for_each(|watch| watch.look(now_s, exposure_s));
         if watches.iter().any(|watch| watch.is_hopeless(clock)) {
