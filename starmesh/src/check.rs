@@ -5,7 +5,7 @@ mod files;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, bail, ensure};
 use clap::Args;
 use config::Observatory;
 use contract::observatory::{Finding, ScheduleFindings, Severity};
@@ -37,6 +37,10 @@ pub struct Options {
 /// The reason why a file is refused; a schedule whose rows are only at risk is valid.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     if options.file.extension().is_some_and(|ending| ending == "jsonl") {
+        ensure!(
+            !options.send_test_message,
+            "--send-test-message needs an observatory.toml: its [alerts] names who gets alerts"
+        );
         let default = options.file.with_file_name("observatory.toml");
         let of = options.config.as_deref().unwrap_or(&default);
         let (config, _) = node::configuration::read_config(of)

@@ -206,6 +206,23 @@ export async function settled(page) {
   });
 }
 
+/** How often each component is drawn by a second that passes, or by a change of the summary of `id`. */
+export const drawnBy = (page, id = null, change = {}) => page.evaluate(async ([name, more]) => {
+  const { options } = await import("/assets/vendor/preact.js");
+  const { net, tick } = await import("/assets/store.js");
+  const before = options.__r;
+  const counts = {};
+  options.__r = (vnode) => { if (typeof vnode.type === "function") counts[vnode.type.name] = (counts[vnode.type.name] ?? 0) + 1; before?.(vnode); };
+  if (name) net.value = new Map(net.value).set(name, { ...net.value.get(name), ...more });
+  else tick.value += 1;
+  await new Promise((resolve) => { setTimeout(resolve); });
+  options.__r = before;
+  return counts;
+}, /** @type {const} */ ([id, change]));
+
+/** The least that one of several counts of [`drawnBy`] has: what comes from the bus in the same moment draws, too. */
+export const least = (all, name) => Math.min(...all.map((counts) => counts[name] ?? 0));
+
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 export const THEMES = ["dark", "light", "night"];
 

@@ -3,7 +3,7 @@
 import { test, before, after, beforeEach, afterEach } from "node:test";
 import assert from "node:assert/strict";
 import { serveFifty } from "./fifty.js";
-import { TEST, becomes, launch, looks, newPage, problemsOf, startAlone, tooWide } from "./browser.js";
+import { TEST, becomes, drawnBy, launch, least, looks, newPage, problemsOf, startAlone, tooWide } from "./browser.js";
 
 let alone, browser, page, server, problems;
 
@@ -39,19 +39,8 @@ async function press(name) {
   await page.getByRole("button", { name, exact: true, pressed: true }).waitFor();
 }
 
-/** How often each component is drawn by a second that passes, or by a change of the summary of `id`. */
-const drawnBy = (id = null, change = {}) => page.evaluate(async ([name, more]) => {
-  const { options } = await import("/assets/vendor/preact.js");
-  const { net, tick } = await import("/assets/store.js");
-  const before = options.__r;
-  const counts = {};
-  options.__r = (vnode) => { if (typeof vnode.type === "function") counts[vnode.type.name] = (counts[vnode.type.name] ?? 0) + 1; before?.(vnode); };
-  if (name) net.value = new Map(net.value).set(name, { ...net.value.get(name), ...more });
-  else tick.value += 1;
-  await new Promise((resolve) => { setTimeout(resolve); });
-  options.__r = before;
-  return counts;
-}, /** @type {const} */ ([id, change]));
+/** As [`drawnBy`], of this page. */
+const drawn = (id, change) => drawnBy(page, id, change);
 
 test("worst first in tiles, night and table; only those that need somebody are whole cards", TEST, async () => {
   for (const all of [tiles, rows]) {
@@ -93,15 +82,14 @@ test("a second that passes draws ages; what one telescope does draws its own par
   await page.locator('[data-testid="nights"]').scrollIntoViewIfNeeded();
   await page.locator('[data-testid="night-line"]').nth(49).waitFor();
   // The step of ten seconds and a page that is just coming are no seconds: the least of some.
-  const least = (all, name) => Math.min(...all.map((counts) => counts[name] ?? 0));
   const seconds = [];
-  for (let i = 0; i < 4; i += 1) seconds.push(await drawnBy());
+  for (let i = 0; i < 4; i += 1) seconds.push(await drawn());
   assert.equal(least(seconds, "Age"), 100, "each tile and each row has an age");
   for (const name of ["Tile", "Row", "Table", "All", "Line", "Nights", "Network", "Rail", "Lede"]) assert.equal(least(seconds, name), 0, name);
   const [id] = WORST;
   const tile = page.locator(`[data-testid="tile"][data-telescope="${id}"]`);
   const changes = [];
-  for (let i = 0; i < 4; i += 1) changes.push(await drawnBy(id, { frames: 9996 + i }));
+  for (let i = 0; i < 4; i += 1) changes.push(await drawn(id, { frames: 9996 + i }));
   assert.deepEqual([least(changes, "Tile"), least(changes, "Row")], [1, 1]);
   await tile.getByText("9999").waitFor();
 });

@@ -83,10 +83,9 @@ pub fn parse_exactly(status: u16, body: &[u8], transactions: &Transactions, aske
     Ok(Answer { value: object.shift_remove("Value") })
 }
 
-/// What a server's framework says in an error of its own form, such as a problem document.
+/// What a server says in an error, be it in the form of its own framework, such as a problem document.
 fn said(object: &Map<String, Value>) -> Option<String> {
-    let text = |name: &str| field(object, name).and_then(Value::as_str).map(str::trim).filter(|text| !text.is_empty());
-    ["ErrorMessage", "detail", "message", "error", "title"].into_iter().find_map(text).map(str::to_owned)
+    ["ErrorMessage", "detail", "message", "error", "title"].into_iter().find_map(|name| text_of(object, name))
 }
 
 fn is_member(name: &str) -> bool {
@@ -175,14 +174,14 @@ fn field<'a>(object: &'a Map<String, Value>, name: &str) -> Option<&'a Value> {
     object.get(name).or_else(|| object.iter().find(|(key, _)| key.eq_ignore_ascii_case(name)).map(|(_, value)| value))
 }
 
-fn message(object: &Map<String, Value>) -> Option<String> {
-    let text = field(object, "ErrorMessage")?.as_str()?.trim();
+fn text_of(object: &Map<String, Value>, name: &str) -> Option<String> {
+    let text = field(object, name)?.as_str()?.trim();
     (!text.is_empty()).then(|| text.to_owned())
 }
 
 fn ascom_error(object: &Map<String, Value>) -> Result<(), AlpacaError> {
     let number = field(object, "ErrorNumber");
-    let reason = message(object);
+    let reason = text_of(object, "ErrorMessage");
     match number.map(|value| (value, envelope_number(value))) {
         Some((_, Some(0))) => {}
         Some((_, Some(code))) => {

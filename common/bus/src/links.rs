@@ -295,7 +295,7 @@ mod tests {
             publisher.put(state.clone()).await.unwrap();
             let began = std::time::Instant::now();
             if let Ok(event) = tokio::time::timeout(Duration::from_secs(40), next()).await {
-                cut = Some((event, began.elapsed() >= Duration::from_secs(15)));
+                cut = Some((event, began.elapsed() > Duration::from_secs(15)));
                 break;
             }
         }

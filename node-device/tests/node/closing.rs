@@ -13,7 +13,7 @@ use test_support::{LIMIT, until};
 use units::Utc;
 
 use crate::fake::{Fake, FakeAnswer};
-use crate::stage::{Commander, Stage, accepted, command, refused};
+use crate::stage::{Commander, Stage, accepted, command, refused, until_received};
 use crate::{a_dome, block, open};
 
 async fn until_alert(stage: &Stage, kind: AlertKind) {
@@ -51,17 +51,7 @@ pub async fn until_permitted(stage: &Stage, token: u64) {
 pub async fn until_guard(stage: &Stage, wanted: impl Fn(&dome::Guard) -> bool) {
     let key = Key::Guard(stage.device(Kind::Dome, "dome")).to_string();
     let guard = stage.bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
-    let mut last = None;
-    let waiting = async {
-        loop {
-            let sample = last.insert(guard.recv().await.sample.body);
-            if wanted(sample) {
-                return;
-            }
-        }
-    };
-    let is_so = tokio::time::timeout(LIMIT, waiting).await.is_ok();
-    assert!(is_so, "the guard stayed {last:?}");
+    until_received("the guard", &guard, wanted).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -9,7 +9,7 @@ use test_support::LIMIT;
 
 use crate::block;
 use crate::fake::{Fake, FakeAnswer};
-use crate::stage::{Stage, accepted, command};
+use crate::stage::{Stage, accepted, command, until_received};
 
 /// A mount that says that it tracks, near the celestial pole which is below the horizon at all hours of a southern site,
 /// and does nothing that it is ordered.
@@ -48,7 +48,7 @@ async fn a_mount_that_ignores_the_end_of_tracking_at_its_limit_is_aborted_and_th
     let stage = Stage::start(&blocks).await;
     let states = stage.states::<Telescope>("mount").await;
     until("aborted", || !mount.puts("abortslew").is_empty()).await;
-    let beyond = stage.until_in::<Telescope>(&states, |state| state.fields.beyond_limit.is_some()).await;
+    let beyond = until_received("the mount", &states, |state| state.fields.beyond_limit.is_some()).await;
     assert!(beyond.fields.beyond_limit.is_some_and(|beyond| !beyond.not_stopped));
     until("parked", || !mount.puts("park").is_empty()).await;
     let at = |member| mount.puts(member)[0].at;

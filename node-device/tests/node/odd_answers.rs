@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use test_support::LIMIT;
 
 use crate::fake::{Fake, FakeAnswer};
-use crate::stage::{Stage, accepted, command};
+use crate::stage::{Stage, accepted, command, until_received};
 use crate::{a_camera, block, expose};
 
 const DRIVER_ERROR: FakeAnswer = FakeAnswer::Error(0x500, "an error of the driver");
@@ -22,15 +22,7 @@ async fn described<K: contract::DeviceKind>(
 ) -> DeviceDescription<K::Capabilities> {
     let key = Key::Capabilities(stage.device(K::KIND, name)).to_string();
     let described = stage.bus.subscribe::<DeviceDescription<K::Capabilities>>(&key, Catch::Newest, 8).await.unwrap();
-    let waiting = async {
-        loop {
-            let description = described.recv().await.sample.body;
-            if wanted(&description) {
-                return description;
-            }
-        }
-    };
-    tokio::time::timeout(LIMIT, waiting).await.unwrap_or_else(|_| panic!("{name} was not described as wanted"))
+    until_received(name, &described, wanted).await
 }
 
 /// Waits until an alert is active; returns its cause.

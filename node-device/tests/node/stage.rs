@@ -62,26 +62,7 @@ impl Stage {
         name: &str,
         wanted: impl FnMut(&DeviceState<K::Fields>) -> bool,
     ) -> DeviceState<K::Fields> {
-        self.until_in::<K>(&self.states::<K>(name).await, wanted).await
-    }
-
-    /// As [`Self::until`], among those that came since they were subscribed to: for what does not last.
-    pub async fn until_in<K: DeviceKind>(
-        &self,
-        states: &Subscriber<DeviceState<K::Fields>>,
-        mut wanted: impl FnMut(&DeviceState<K::Fields>) -> bool,
-    ) -> DeviceState<K::Fields> {
-        let mut last = None;
-        let waiting = async {
-            loop {
-                let state = states.recv().await.sample.body;
-                if wanted(&state) {
-                    return state;
-                }
-                last = Some(serde_json::to_string(&state).unwrap());
-            }
-        };
-        tokio::time::timeout(LIMIT, waiting).await.unwrap_or_else(|_| panic!("the {} stayed {last:?}", K::KIND))
+        until_received(name, &self.states::<K>(name).await, wanted).await
     }
 
     /// Sends a command; a node that is not up yet is asked again.
@@ -100,6 +81,21 @@ impl Stage {
     pub async fn end(self) {
         self.running.stop().await;
     }
+}
+
+/// Waits for a payload that is as wanted, among all that came since they were subscribed to.
+pub async fn until_received<T: Payload>(what: &str, payloads: &Subscriber<T>, mut wanted: impl FnMut(&T) -> bool) -> T {
+    let mut last = None;
+    let waiting = async {
+        loop {
+            let payload = payloads.recv().await.sample.body;
+            if wanted(&payload) {
+                return payload;
+            }
+            last = Some(serde_json::to_string(&payload).unwrap());
+        }
+    };
+    tokio::time::timeout(LIMIT, waiting).await.unwrap_or_else(|_| panic!("{what} stayed {last:?}"))
 }
 
 pub fn command<C>(id: &str, token: Option<u64>, action: C) -> Command<C> {

@@ -25,15 +25,16 @@ pub async fn lite(State(server): State<Arc<Server>>, Extension(caller): Extensio
         return page::login();
     }
     let summaries = server.network.summaries();
-    let may_see = |summary: &&Summary| {
-        let Face { site_id, telescope_id, .. } = &summary.face;
-        let address = Address { site: site_id.clone(), telescope: telescope_id.clone() };
-        !summary.face.shared && caller.right_at(&address).is_some()
-    };
+    let may_see = |summary: &&Summary| !summary.face.shared && caller.right_at(&address(summary)).is_some();
     let webcams = network::webcams(&server, &caller);
     let text = html(summaries.iter().filter(may_see), &webcams, &server.network.clock().utc().to_string());
     let named = [(header::CONTENT_TYPE, page::HTML), (header::CACHE_CONTROL, "no-store")];
     (named, text).into_response()
+}
+
+fn address(summary: &Summary) -> Address {
+    let Face { site_id, telescope_id, .. } = &summary.face;
+    Address { site: site_id.clone(), telescope: telescope_id.clone() }
 }
 
 fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, webcams: &[WebcamInNetwork], now: &str) -> String {
@@ -49,11 +50,8 @@ fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, webcams: &[WebcamInNet
     for summary in summaries {
         known += 1;
         telescope(&mut text, summary);
-        let Face { site_id, telescope_id, .. } = &summary.face;
-        let shown = webcams
-            .iter()
-            .filter(|one| one.site_id == *site_id && one.telescope_id.as_ref().is_none_or(|id| id == telescope_id));
-        let links: Vec<String> = shown.map(link).collect();
+        let address = address(summary);
+        let links: Vec<String> = webcams.iter().filter(|one| one.shows(&address)).map(link).collect();
         if !links.is_empty() {
             let _ = write!(text, "<p>To look at it: {}</p>", links.join(", "));
         }
@@ -149,13 +147,11 @@ mod tests {
     fn a_telescope_that_was_stopped_in_good_order_is_told_so_and_one_that_runs_has_its_own_command() {
         let address = Address { site: "paranal".parse().unwrap(), telescope: "callisto".parse().unwrap() };
         let state = |stopped| json!({"role": "observatory", "version": "", "host": "pc", "pid": 1, "uptime_s": 1.0, "speed": 1.0, "stopped": stopped});
-        let page = |stopped| {
+        let page = |stopped, webcams: &[WebcamInNetwork]| {
             let network = Network::new(Clock::machine_clock(), address.clone());
             network.accept(received("paranal/callisto/node/observatory/main/state", "b1", 1, 100, state(stopped)));
-            html(network.summaries().iter(), &[], "now")
+            html(network.summaries().iter(), webcams, "now")
         };
-        let runs = page(serde_json::Value::Null);
-        assert!(runs.contains("<code>starmesh order paranal/callisto close</code>"), "{runs}");
         let webcam = |name: &str, telescope: Option<&str>| WebcamInNetwork {
             name: name.to_owned(),
             url: "https://cams.example/a?b=1&c=\"".to_owned(),
@@ -163,19 +159,12 @@ mod tests {
             telescope_id: telescope.map(|id| id.parse().unwrap()),
             period_s: 60.0,
         };
-        let network = Network::new(Clock::machine_clock(), address.clone());
-        network.accept(received(
-            "paranal/callisto/node/observatory/main/state",
-            "b1",
-            1,
-            100,
-            state(serde_json::Value::Null),
-        ));
         let webcams = [webcam("<Sky>", None), webcam("Dome", Some("callisto")), webcam("Other", Some("io"))];
-        let seen = html(network.summaries().iter(), &webcams, "now");
+        let runs = page(serde_json::Value::Null, &webcams);
+        assert!(runs.contains("<code>starmesh order paranal/callisto close</code>"), "{runs}");
         let sky = "<a href=\"https://cams.example/a?b=1&amp;c=&quot;\" rel=\"noreferrer\">&lt;Sky&gt;</a>, <a ";
-        assert!(seen.contains(sky) && seen.contains(">Dome</a>") && !seen.contains("Other"), "{seen}");
-        let stopped = page(json!({"by": "starmesh up on pc", "closed": true}));
+        assert!(runs.contains(sky) && runs.contains(">Dome</a>") && !runs.contains("Other"), "{runs}");
+        let stopped = page(json!({"by": "starmesh up on pc", "closed": true}), &[]);
         assert!(stopped.contains("stopped by starmesh up on pc, closed") && !stopped.contains("UNKNOWN"), "{stopped}");
     }
 

@@ -55,6 +55,13 @@ pub struct WebcamInNetwork {
     pub period_s: f64,
 }
 
+impl WebcamInNetwork {
+    /// Whether it shows a telescope, alone or with all of its site.
+    pub fn shows(&self, address: &Address) -> bool {
+        self.site_id == address.site && self.telescope_id.as_ref().is_none_or(|id| *id == address.telescope)
+    }
+}
+
 /// The webcams of the file of this server that a caller may see: who may see a telescope of a site may see the site.
 pub fn webcams(server: &Server, caller: &Principal) -> Vec<WebcamInNetwork> {
     let model = server.network.read();
@@ -67,12 +74,7 @@ pub fn webcams(server: &Server, caller: &Principal) -> Vec<WebcamInNetwork> {
         telescope_id: webcam.telescope.clone(),
         period_s: webcam.period_s,
     });
-    let is_seen = |webcam: &WebcamInNetwork| {
-        seen.iter().any(|address| {
-            address.site == webcam.site_id && webcam.telescope_id.as_ref().is_none_or(|id| *id == address.telescope)
-        })
-    };
-    webcams.filter(is_seen).collect()
+    webcams.filter(|webcam| seen.iter().any(|address| webcam.shows(address))).collect()
 }
 
 /// A telescope with its nodes.

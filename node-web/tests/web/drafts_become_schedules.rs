@@ -128,6 +128,7 @@ async fn send(stage: &Stage, ask: &str, headers: &str, text: &str) -> Answer {
             if answer.status != 504 {
                 return answer;
             }
+            tokio::time::sleep(std::time::Duration::from_millis(100)).await;
         }
     };
     tokio::time::timeout(LIMIT, answered).await.unwrap_or_else(|_| panic!("{ask}: nobody answers"))
@@ -149,7 +150,7 @@ async fn a_draft_is_stored_compared_checked_forecast_and_put_in_force() {
     let observatory = Observatory::start(&stage).await;
     let (ana, olga) = (stage.session("ana").await, stage.session("olga").await);
     let ready = async { while get(&stage, "", &ana).await.json()["body"]["sha256"].is_null() {} };
-    tokio::time::timeout(test_support::LIMIT, ready).await.unwrap();
+    tokio::time::timeout(LIMIT, ready).await.unwrap();
 
     // Comments and blanks are stored byte for byte.
     let text = format!("// tonight\n{}   {}", row("old", 20), row("new", 5));
@@ -327,7 +328,7 @@ async fn a_forecast_is_made_once_for_all_who_look_and_again_for_another_schedule
     let observatory = Observatory::start(&stage).await;
     let vera = stage.session("vera").await;
     let ready = async { while get(&stage, "", &vera).await.json()["body"]["sha256"].is_null() {} };
-    tokio::time::timeout(test_support::LIMIT, ready).await.unwrap();
+    tokio::time::timeout(LIMIT, ready).await.unwrap();
     let path = SCHEDULE.replace("/schedule", "/forecast");
     let ask = async |headers: String| send(&stage, &format!("GET {path}"), &headers, "").await;
     let (one, other, third) = tokio::join!(ask(vera.clone()), ask(vera.clone()), ask(vera.clone()));
@@ -347,7 +348,7 @@ async fn a_forecast_is_made_once_for_all_who_look_and_again_for_another_schedule
     let state = ScheduleState { sha256: Some(sha256(&new)), ..observatory.state.clone() };
     observatory.schedule.put(state);
     let ready = async { while ask(known.clone()).await.status == 304 {} };
-    tokio::time::timeout(test_support::LIMIT, ready).await.unwrap();
+    tokio::time::timeout(LIMIT, ready).await.unwrap();
     let next = ask(known).await;
     assert_eq!((next.status, &next.json()["sha256"]), (200, &json!(sha256(&new))), "{}", next.text);
     assert_eq!(observatory.plans.load(Ordering::Relaxed), 2);
