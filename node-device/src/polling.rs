@@ -19,7 +19,7 @@ use crate::readings::member;
 use crate::simulated::is_simulated;
 
 /// So many calls in a row without a whole answer and the link is lost.
-const LOST_AFTER: usize = 2;
+pub const LOST_AFTER: usize = 2;
 
 /// Questions to a slow device that are under way at one time.
 pub const LANES: usize = 6;
@@ -242,7 +242,7 @@ impl Questions {
             }
         }
         if !spoke && silent > 0 {
-            poll.lost = poll.answers.pop().and_then(|answer| answer.result.err());
+            poll.lost = poll.answers.last().and_then(|answer| answer.result.as_ref().err()).cloned();
         }
         poll
     }

@@ -35,7 +35,7 @@ use crate::command_server::{CommandServer, Order};
 use crate::driver::{Capabilities, Command, Driver, Executed, Fields};
 use crate::has::Has;
 use crate::now::Now;
-use crate::polling::{Greeting, Poll, PropertyAnswer, Questions, lost_reason};
+use crate::polling::{Greeting, LOST_AFTER, Poll, PropertyAnswer, Questions, lost_reason};
 use crate::readings::Readings;
 use crate::record::StatePublisher;
 
@@ -111,6 +111,8 @@ struct Loop<D: Driver> {
     next_description: Instant,
     busy_since: Option<Instant>,
     failures: i32,
+    /// Polls in a row that brought no whole answer.
+    silent_polls: usize,
     published: Option<(DeviceState<Fields<D>>, Instant)>,
     /// What of the rest is still to be asked in this round, where what decides is read apart.
     rest: VecDeque<String>,
@@ -172,6 +174,7 @@ impl<D: Driver> Serve<D> {
             next_description: now,
             busy_since: None,
             failures: 0,
+            silent_polls: 0,
             published: None,
             rest: VecDeque::new(),
             parts: VecDeque::new(),
@@ -333,7 +336,7 @@ impl<D: Driver> Loop<D> {
         self.status().can = Some(greeting.description.can.clone());
         self.description = Some(greeting.description);
         self.reading_again = ReadingAgain::of(greeting.abilities);
-        self.failures = 0;
+        (self.failures, self.silent_polls) = (0, 0);
         let now = Instant::now();
         (self.next_turn, self.next_full, self.next_description) = (now, now, now);
         self.observe_now();
@@ -353,8 +356,12 @@ impl<D: Driver> Loop<D> {
         let splits = self.splits();
         self.pace(&poll);
         self.keep(poll.answers);
-        // The rest of a device may hang by itself: what decides shows whether there is a link.
-        let lost = poll.lost.filter(|error| poll.full || !splits || !error.is_transport());
+        // The rest of a device may hang by itself: what decides shows whether there is a link. A slow device is asked one
+        // thing at a time, and then several in a row show it.
+        let is_silent = poll.lost.as_ref().is_some_and(AlpacaError::is_transport);
+        self.silent_polls = if is_silent { self.silent_polls + 1 } else { 0 };
+        let shows = poll.full || !splits || self.silent_polls >= LOST_AFTER;
+        let lost = poll.lost.filter(|error| shows || !error.is_transport());
         if let Some(error) = lost.or(denied) {
             return self.lose(&error);
         }

@@ -13,6 +13,8 @@ use rusqlite::Connection;
 use test_support::{LIMIT, PARANAL, RunningNode, block, join, private_bus, until};
 use units::Utc;
 
+use crate::in_the_night;
+
 const DAY_S: f64 = 86_400.0;
 
 fn address() -> Address {
@@ -94,7 +96,7 @@ fn database_of_before(path: &Path, now: Utc) {
 async fn a_database_of_before_is_brought_up_to_date_copied_and_thinned_and_its_gust_is_still_seen() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("data/archive.db");
-    let bus = private_bus(Clock::machine_clock()).await;
+    let bus = private_bus(in_the_night()).await;
     let now = bus.clock().utc();
     database_of_before(&path, now);
     let running = archive(folder.path(), join(&bus).await);

@@ -9,3 +9,8 @@ mod keeps_the_audit;
 mod keeps_the_facts;
 mod keeps_years;
 mod writes_parquet;
+
+/// A clock that says 02:30 UTC, far from the noon at which a night of Paranal ends: no test meets the change of nights.
+fn in_the_night() -> bus::Clock {
+    bus::Clock::simulated(units::Utc::from_seconds(1_795_228_200.0), 1.0)
+}

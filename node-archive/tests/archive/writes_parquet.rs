@@ -2,13 +2,14 @@
 
 use std::path::Path;
 
-use bus::Clock;
 use contract::{Address, Kind, Role, Scalar};
 use node::{Node, NodeAlerts};
 use node_archive::database::{Database, Write};
 use node_archive::night::Night;
 use test_support::{PARANAL, RunningNode, block, join, private_bus, until};
 use units::Utc;
+
+use crate::in_the_night;
 
 fn folders(table: &Path) -> Vec<String> {
     let telescope = table.join("site=paranal/telescope=callisto");
@@ -21,7 +22,7 @@ fn folders(table: &Path) -> Vec<String> {
 #[tokio::test(flavor = "multi_thread")]
 async fn finished_nights_are_written_and_a_folder_that_takes_none_raises_an_alert() {
     let folder = tempfile::tempdir().unwrap();
-    let bus = private_bus(Clock::machine_clock()).await;
+    let bus = private_bus(in_the_night()).await;
     let station = block("observingconditions", "wx", "localhost:1", "");
     let text = format!("{PARANAL}[archive]\nparquet = \"network\"\n{station}");
     let config = config::parse(&text, folder.path()).unwrap();
@@ -29,7 +30,7 @@ async fn finished_nights_are_written_and_a_folder_that_takes_none_raises_an_aler
     // One value a day: today, in each of the last three nights, and long ago.
     let now = bus.clock().utc();
     let device = Address::new("paranal", "callisto").unwrap().device(Kind::ObservingConditions, &"wx".parse().unwrap());
-    let alerts = NodeAlerts::new(Clock::machine_clock());
+    let alerts = NodeAlerts::new(bus.clock().clone());
     let (database, writer) = Database::open(&config.archive.database, "callisto", alerts).unwrap();
     let days_ago = [0.0, 1.0, 2.0, 3.0, 30.0].map(|days| now.plus_seconds(-days * 86_400.0));
     for at in days_ago {

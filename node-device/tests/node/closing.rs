@@ -110,6 +110,8 @@ async fn no_stop_no_turn_and_no_park_from_anybody_ends_a_closing_that_is_due() {
     }
     assert_eq!(hardware.puts("abortslew").len(), stops);
     assert!(hardware.puts("slewtoazimuth").is_empty() && hardware.puts("park").is_empty());
+    // A close that the guard repeats meanwhile finds it closed.
+    hardware.on("closeshutter", |hardware, _| hardware.answer("shutterstatus", FakeAnswer::Value(json!(1))));
     hardware.answer("shutterstatus", FakeAnswer::Value(json!(1)));
     stage.until::<dome::Dome>("dome", |state| state.fields.shutter.known() == Some(&dome::Shutter::Closed)).await;
     let began = Instant::now();
@@ -128,9 +130,10 @@ async fn a_bare_close_moves_a_roof_only_over_its_parked_mount_and_has_it_parked(
         Stage::start(&(block("dome", "dome", &hardware, policy) + &block("telescope", "mount", &mount, ""))).await;
     let (_, _commander) = open(&stage).await;
     stage.until::<telescope::Telescope>("mount", |state| state.fields.at_park.known() == Some(&false)).await;
-    let before = hardware.puts("closeshutter").len();
+    // A permit that came late on a busy machine may have had it parked before.
+    let (before, parks) = (hardware.puts("closeshutter").len(), mount.puts("park").len());
     accepted(&stage.command(Kind::Dome, "dome", &command("x1", None, dome::Command::CloseShutter)).await);
-    until("the mount is asked to park", || !mount.puts("park").is_empty()).await;
+    until("the mount is asked to park", || mount.puts("park").len() > parks).await;
     // An abort from anybody ends no park that a roof waits for, nor does a commander that does not know of it.
     for what in [telescope::Command::Abort, telescope::Command::Slew { ra_deg: 1.0, dec_deg: 2.0 }] {
         let reply = stage.command(Kind::Telescope, "mount", &command("s1", None, what.clone())).await;

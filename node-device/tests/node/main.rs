@@ -14,19 +14,21 @@ mod rates;
 mod stage;
 mod vendor;
 
+use std::time::Duration;
+
 use bus::{Catch, Clock};
 use contract::device::camera::{self, Frame, Purpose};
 use contract::device::dome::{self, Shutter};
-use contract::device::safety_monitor::SafetyMonitor;
+use contract::device::safety_monitor::{self, SafetyMonitor};
 use contract::device::{filter_wheel, focuser};
-use contract::{Key, Kind, Link, NodeTopic, Reason};
+use contract::{DeviceState, Key, Kind, Link, NodeTopic, Reason};
 use serde_json::json;
 use test_support::{LIMIT, until};
 
 use closing::{until_guard, until_permitted};
 use fake::{Fake, FakeAnswer};
 use lease::until_granted;
-use stage::{Commander, Stage, accepted, command, refused};
+use stage::{Commander, Stage, accepted, command, refused, until_received};
 
 /// A device of the node under test, which is called `main` for all kinds.
 fn block(kind: &str, name: &str, server: &Fake, more: &str) -> String {
@@ -53,6 +55,26 @@ async fn a_hung_device_is_lost_and_another_is_read_meanwhile() {
     assert!(reason.0.starts_with("timeout"), "{reason}");
     hung.hang(false);
     stage.until::<SafetyMonitor>("hung", |state| state.fields.is_safe.known() == Some(&true)).await;
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slow_monitor_that_hangs_is_lost_as_well() {
+    let hardware = Fake::start(&[("issafe", json!(true))]).await;
+    // More than a quarter of the period.
+    hardware.slow(Duration::from_millis(100), false);
+    let stage = Stage::start(&block("safetymonitor", "monitor", &hardware, "period_s = 0.2")).await;
+    let is_safe = |state: &DeviceState<safety_monitor::Fields>| state.fields.is_safe.known() == Some(&true);
+    let states = stage.states::<SafetyMonitor>("monitor").await;
+    // After some readings it is known to be slow.
+    for _ in 0..5 {
+        until_received("the monitor", &states, is_safe).await;
+    }
+    hardware.hang(true);
+    let lost = until_received("the monitor", &states, |state| matches!(state.link, Link::Lost { .. })).await;
+    assert_eq!(lost.fields.is_safe.known(), None);
+    hardware.hang(false);
+    until_received("the monitor", &states, is_safe).await;
     stage.end().await;
 }
 
