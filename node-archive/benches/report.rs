@@ -51,6 +51,7 @@ fn writes(number: u64, boot: &BootId) -> Vec<Write> {
             object: frame.purpose.object.clone(),
             step: format!("{step} {number} of {FRAMES}"),
             started_utc: at(0),
+            expected_by_utc: None,
         }],
     };
     let state = |step: &str, second: u64, seq: u64| {

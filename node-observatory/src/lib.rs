@@ -80,6 +80,7 @@ mod authority;
 pub mod closing;
 mod command_timeout;
 pub mod devices;
+mod expected;
 mod exposing;
 mod failover;
 pub mod flats;
@@ -135,7 +136,7 @@ use crate::tasks::Tasks;
 pub async fn run(node: Node) -> anyhow::Result<()> {
     let Start { tools, techniques, orders, schedule_file, site, names, focus_runs, verdict, hold, doubt, before } =
         start::start(&node).await?;
-    let RowTools { authority, devices, slits, journal, night, ledger, frames } = &*tools;
+    let RowTools { authority, devices, slits, journal, night, ledger, frames, step_times } = &*tools;
     let lease = LeasePublisher::open(authority).await?;
     let (other_telescopes, leaves_alone) = (SharedRoofWatch::default(), Arc::new(AtomicBool::new(false)));
     let mut tasks = Tasks::default();
@@ -150,6 +151,8 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     active_orders::start(&mut tasks, &node, authority.hold.clone(), &orders);
     alerting::start(&mut tasks, authority, &orders);
     let schedule = schedule_file::start(&mut tasks, &schedule_file, night);
+    let learning = schedule_file.earlier_nights.clone().keep_learning(node.clone(), step_times.clone());
+    tasks.spawn("step times", learning);
     let telescope = Telescope {
         authority: authority.clone(),
         devices: devices.clone(),

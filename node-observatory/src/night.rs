@@ -16,6 +16,7 @@ use units::Utc;
 use crate::authority::Authority;
 use crate::devices::Devices;
 use crate::devices::dome::Dome;
+use crate::expected::Overdue;
 use crate::publishing::{LEAST, publish};
 use crate::tasks::Tasks;
 
@@ -57,11 +58,11 @@ impl PublishedNight {
         });
     }
 
-    /// What an action does now, in words.
-    pub fn step(&self, row: u32, step: String) {
+    /// What an action does now, in words, and by when that should have ended.
+    pub fn step(&self, row: u32, step: String, expected_by: Option<Utc>) {
         self.tonight.send_modify(|tonight| {
             if let Some(action) = tonight.actions.get_mut(&row) {
-                action.step = step;
+                (action.step, action.expected_by_utc) = (step, expected_by);
             }
         });
     }
@@ -183,6 +184,7 @@ async fn keep_publishing_night(
     let (mut open_s, mut looked) = (0.0, clock.sky());
     let mut was = Posture::Unknown;
     let (mut published_at, mut touched) = (None, true);
+    let mut overdue = Overdue::default();
     loop {
         let posture = posture(&devices);
         let now = clock.sky();
@@ -196,6 +198,7 @@ async fn keep_publishing_night(
         touched |= was != posture;
         was = posture;
         let due = published_at.is_none_or(|at| clock.machine().since(at) >= SECOND - LEAST * 2);
+        overdue.look(tonight.borrow().actions.values(), clock.utc(), &authority.node.alerts);
         if (touched || due) && authority.is_publishing() {
             let published = tonight.borrow_and_update().clone();
             let robotic_now = *robotic.borrow();

@@ -17,6 +17,7 @@ use units::{Angle, Utc};
 use crate::action_error::ActionError;
 use crate::authority::Authority;
 use crate::devices::{Chain, Devices};
+use crate::expected::{Lasts, StepTimes};
 use crate::frames::FrameData;
 use crate::journal::Journal;
 use crate::ledger::Ledger;
@@ -43,6 +44,8 @@ pub struct RowTools {
     pub ledger: Arc<Ledger>,
     /// What frames have shown.
     pub frames: Arc<FrameData>,
+    /// How long steps take.
+    pub step_times: Arc<StepTimes>,
 }
 
 /// How a panel was found.
@@ -111,16 +114,17 @@ impl RowContext {
         self.tools.authority.node.bus.clock()
     }
 
-    /// Reports what the row does now.
-    pub fn step(&self, step: impl Into<String>) {
+    /// Reports what the row does now, and how long that lasts.
+    pub fn step(&self, step: impl Into<String>, lasts: Lasts) {
         let step = step.into();
         tracing::info!(row = self.index, action = self.row.action.name(), step, "step");
-        self.tools.night.step(self.index, step);
+        self.small_step(step, lasts);
     }
 
     /// As [`Self::step`], without a line in the diary: for what repeats with every frame.
-    pub fn small_step(&self, step: String) {
-        self.tools.night.step(self.index, step);
+    pub fn small_step(&self, step: String, lasts: Lasts) {
+        let expected_by = self.tools.step_times.expected_by(lasts, self.row.action.name(), self.clock());
+        self.tools.night.step(self.index, step, expected_by);
     }
 
     /// Writes into the diary how long a part of the row took, for the plans of later nights.

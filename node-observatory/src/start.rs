@@ -18,6 +18,7 @@ use crate::active_orders::OrderState;
 use crate::authority::Authority;
 use crate::devices::Devices;
 use crate::devices::instrument::CommandSender;
+use crate::expected::StepTimes;
 use crate::failover::takeover::{self, FormerCommander};
 use crate::focus::FocusData;
 use crate::frames::FrameData;
@@ -110,10 +111,20 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         versions: Versions::of(config),
         reload: watch::channel(0).0,
         active: Default::default(),
+        earlier_nights: Arc::default(),
     };
     let night = Arc::new(PublishedNight::new(config.schedule.file.display().to_string()));
     Ok(Start {
-        tools: Arc::new(RowTools { authority, devices, slits, journal, night, ledger: Arc::default(), frames }),
+        tools: Arc::new(RowTools {
+            authority,
+            devices,
+            slits,
+            journal,
+            night,
+            ledger: Arc::default(),
+            frames,
+            step_times: Arc::new(StepTimes::assumed(config)),
+        }),
         techniques: Arc::new(Techniques { pointing, guiding, focus: Arc::new(focus), opener, names: known }),
         orders,
         schedule_file: Arc::new(schedule_file),

@@ -14,14 +14,24 @@ pub struct NamedField {
     pub dec_deg: f64,
     /// Stars stand close together: a field for looking at, and a bad first one to point at.
     pub is_crowded: bool,
+    /// The longest exposure that does not saturate a bright target, s: by the simulated camera's full well and 350 mm aperture.
+    pub exptime_s: f64,
 }
 
+/// Where nothing bright is meant, s.
+const USUAL_S: f64 = 120.0;
+
 const fn sparse(name: &'static str, ra_deg: f64, dec_deg: f64) -> NamedField {
-    NamedField { name, ra_deg, dec_deg, is_crowded: false }
+    NamedField { name, ra_deg, dec_deg, is_crowded: false, exptime_s: USUAL_S }
+}
+
+/// A star that is the target itself.
+const fn star(name: &'static str, ra_deg: f64, dec_deg: f64, exptime_s: f64) -> NamedField {
+    NamedField { name, ra_deg, dec_deg, is_crowded: false, exptime_s }
 }
 
 const fn crowded(name: &'static str, ra_deg: f64, dec_deg: f64) -> NamedField {
-    NamedField { name, ra_deg, dec_deg, is_crowded: true }
+    NamedField { name, ra_deg, dec_deg, is_crowded: true, exptime_s: USUAL_S }
 }
 
 /// Where nothing is known of a place.
@@ -32,16 +42,16 @@ pub const FIELDS: [NamedField; 24] = [
     crowded("47 Tuc", 6.022333, -72.081444),
     sparse("M 31", 10.684792, 41.269056),
     sparse("NGC 253", 11.888, -25.288222),
-    sparse("WASP-18", 24.354298, -45.677874),
-    sparse("WASP-33", 36.712744, 37.550484),
+    star("WASP-18", 24.354298, -45.677874, 5.0),
+    star("WASP-33", 36.712744, 37.550484, 2.0),
     sparse("Pleiades", 56.869167, 24.105278),
-    sparse("WASP-79", 66.370903, -30.600439),
+    star("WASP-79", 66.370903, -30.600439, 10.0),
     M_42,
     crowded("NGC 2244", 97.9815, 4.942944),
-    sparse("WASP-121", 107.600243, -39.097374),
+    star("WASP-121", 107.600243, -39.097374, 15.0),
     crowded("NGC 2516", 119.529417, -60.753472),
     sparse("Praesepe", 130.0925, 19.672056),
-    sparse("WASP-166", 144.875351, -20.982468),
+    star("WASP-166", 144.875351, -20.982468, 5.0),
     crowded("Eta Carinae", 161.285542, -59.866694),
     sparse("M 104", 189.997625, -11.623056),
     crowded("Omega Cen", 201.691208, -47.476861),
@@ -49,9 +59,9 @@ pub const FIELDS: [NamedField; 24] = [
     crowded("M 4", 245.8975, -26.525528),
     crowded("M 7", 268.46325, -34.792833),
     crowded("M 22", 279.100833, -23.903417),
-    sparse("HAT-P-11", 297.709356, 48.080868),
+    star("HAT-P-11", 297.709356, 48.080868, 5.0),
     crowded("M 2", 323.362583, -0.82325),
-    sparse("HD 209458", 330.794892, 18.884323),
+    star("HD 209458", 330.794892, 18.884323, 1.0),
     sparse("NGC 7293", 337.410583, -20.837111),
 ];
 

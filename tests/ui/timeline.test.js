@@ -140,3 +140,18 @@ test("a closed telescope tells each reason and when it can clear, and what comes
   await reasons.locator("li", { hasText: /wind speed.*17\.3 m\/s is above 15 m\/s.*can clear \d\d:\d\d:\d\d, in 2\d min/ }).waitFor();
   await page.locator('[data-testid="now"]', { hasText: /Waits for.*Wind speed\. Then object WASP-18 goes on/ }).waitFor();
 });
+
+test("the step that is under way counts down, and tells by how much it is late", TEST, async () => {
+  const state = "demo/beta/observatory/night/state";
+  const night = (await bus.states())[state];
+  const due = (utc) => bus.put({ [state]: { ...night, actions: [{ ...night.actions[0], expected_by_utc: utc }] } });
+  await due("2026-11-27T09:00:00.000000Z");
+  await open("/t/demo/beta");
+  const expected = page.locator('[data-testid="now"] [data-testid="expected"]');
+  await expected.filter({ hasText: /should end by 09:00:00, in 6 h/ }).waitFor();
+  await due("2026-11-27T02:20:00.000000Z");
+  await expected.filter({ hasText: /should have ended \d+ min.* ago/ }).waitFor();
+  assert.match(await expected.getAttribute("class"), /ink-p2/);
+  await bus.put({ [state]: night });
+  await becomes(() => expected.count(), (count) => count === 0, "a step without such a time");
+});

@@ -15,13 +15,15 @@ pub struct Faults {
     pub pause_s: f64,
     /// A row that is postponed rests so long at first, then twice as long each time, at most 10 times, machine s.
     pub rest_s: f64,
+    /// A step of a row may take so much longer than twice the usual time before somebody is told, machine s.
+    pub overdue_s: f64,
     /// By kind of device (`focuser`): what then; `postpone` where absent.
     pub policy: BTreeMap<String, FaultPolicy>,
 }
 
 impl Default for Faults {
     fn default() -> Self {
-        Self { retries: 2, pause_s: 5.0, rest_s: 30.0, policy: BTreeMap::new() }
+        Self { retries: 2, pause_s: 5.0, rest_s: 30.0, overdue_s: 180.0, policy: BTreeMap::new() }
     }
 }
 
@@ -56,7 +58,7 @@ impl Faults {
     /// What does not hold, in words.
     pub(crate) fn faults(&self) -> Vec<String> {
         let mut found = Vec::new();
-        for (key, value) in [("pause_s", self.pause_s), ("rest_s", self.rest_s)] {
+        for (key, value) in [("pause_s", self.pause_s), ("rest_s", self.rest_s), ("overdue_s", self.overdue_s)] {
             if !(0.1..=3600.0).contains(&value) {
                 found.push(format!("faults.{key} = {value}: expected 0.1 to 3600 s"));
             }

@@ -27,6 +27,7 @@ fn doing(posture: Posture, action: Option<(&str, &str)>) -> Doing {
         object: Some("WASP-12".to_owned()),
         step: step.to_owned(),
         started_utc: at(0.0),
+        expected_by_utc: None,
     });
     Doing { robotic: true, posture, ended: false, speed: 1.0, simulated: false, actions: action.into_iter().collect() }
 }

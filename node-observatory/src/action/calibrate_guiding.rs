@@ -16,6 +16,7 @@ use units::seconds;
 use super::{Execute, Techniques, read_out};
 use crate::action_error::ActionError;
 use crate::devices::telescope::Mount;
+use crate::expected::Lasts;
 use crate::exposing::{Series, expose};
 use crate::frames::looked::Looked;
 use crate::guiding::calibrated::unbinned;
@@ -23,6 +24,7 @@ use crate::guiding::{GuidingData, guide_rates, pulse};
 use crate::opening;
 use crate::row_context::RowContext;
 use crate::slit::Aimed;
+use schedule::plan::TimedPart;
 
 /// A frame is fetched and measured within this, machine time.
 const MEASURED_WITHIN: Duration = Duration::from_secs(60);
@@ -46,13 +48,13 @@ impl Execute for CalibrateGuiding {
         let target = self.target(&context.observer(context.clock().utc())?).map_err(ActionError::Impossible)?;
         let _aimed = Aimed::at(&context.tools.slits, mount, target);
         let point = async {
-            context.step("opening");
+            context.step("opening", Lasts::Part(TimedPart::Open));
             opening::open(&techniques.opener, &chain).await?;
-            context.step("slewing");
+            context.step("slewing", Lasts::Part(TimedPart::Slew));
             mount.point(&target, &context.observer(context.clock().utc())?).await
         };
         tokio::try_join!(point, context.filter_and_focus(self.filter.as_deref(), self.defocus.wanted()))?;
-        context.step("cooling");
+        context.step("cooling", Lasts::Part(TimedPart::Cool));
         context.cool().await?;
         let series = Series {
             action: None,
@@ -66,7 +68,7 @@ impl Execute for CalibrateGuiding {
             open_sky: true,
             metadata: self.metadata.texts(),
         };
-        context.step("calibrating");
+        context.step("calibrating", Lasts::Open);
         let report = step(self, context, &techniques.guiding, &series, mount, &target).await?;
         context.leave_mount();
         Ok(report)
@@ -144,7 +146,7 @@ async fn step(
             Ended::Turned(why) if again < TURNS => {
                 again += 1;
                 tracing::info!(mount = %mount.instrument.device.name, why, "the calibration begins anew");
-                context.step(format!("calibrating anew: {why}"));
+                context.step(format!("calibrating anew: {why}"), Lasts::Open);
                 still(context, mount).await?;
             }
             Ended::Turned(why) => return Err(failed(mount, why)),

@@ -9,6 +9,7 @@ use units::Angle;
 
 use super::{Execute, Techniques};
 use crate::action_error::ActionError;
+use crate::expected::Lasts;
 use crate::row_context::RowContext;
 
 /// How often the archive is asked about files whose announcement was missed.
@@ -21,7 +22,7 @@ impl Execute for CompleteHeaders {
         let mut asked = None;
         loop {
             let (complete, all) = frames.borrow_and_update().complete(&night);
-            context.small_step(format!("{complete} of {all} headers complete"));
+            context.small_step(format!("{complete} of {all} headers complete"), Lasts::Open);
             if complete == all {
                 return Ok(format!("{all} headers complete"));
             }

@@ -18,6 +18,7 @@ use self::spooled::Unspooled;
 use crate::action_error::ActionError;
 use crate::devices::camera::Camera;
 use crate::devices::telescope::Mount;
+use crate::expected::Lasts;
 use crate::journal::{Intent, Journal};
 use crate::row_context::RowContext;
 use crate::slit::{self, ExposureThroughSlit};
@@ -124,14 +125,15 @@ pub async fn aside(context: &RowContext, series: &Series, shot: &Shot, action: &
 /// Waits until the sky can be seen, where that is wanted; the frame is under way from then on.
 async fn ready(context: &RowContext, series: &Series, shot: &Shot, frame: &CommandId) -> Result<(), ActionError> {
     if series.open_sky {
-        let began = |why: &str| context.step(format!("waiting for the dome's slit: {why}"));
+        let began =
+            |why: &str| context.step(format!("waiting for the dome's slit: {why}"), Lasts::Part(TimedPart::Slit));
         let ended = |since: Utc| context.took(TimedPart::Slit, since);
         slit::wait_until_clear(&context.tools.slits, context.chain()?.mount, shot.exposure_s, began, ended).await?;
         roof_is_open(context)?;
         sky_is_followed(context)?;
     }
     nodes_are_fit(context).await;
-    context.small_step(shot.words.clone());
+    context.small_step(shot.words.clone(), Lasts::Frame(shot.exposure_s));
     context.set_exposing(Some(frame.clone()));
     Ok(())
 }
@@ -145,7 +147,7 @@ async fn nodes_are_fit(context: &RowContext) {
         let why = verdict.borrow_and_update().unfit_nodes();
         let Some(why) = why else { return };
         if !waits {
-            context.step(format!("waiting before the next frame: {why}"));
+            context.step(format!("waiting before the next frame: {why}"), Lasts::Open);
             waits = true;
         }
         // The safety loop ends only with this node.
@@ -327,7 +329,7 @@ pub async fn adopt(context: &RowContext, open_sky: bool) -> Result<(), ActionErr
     if !open.contains(&exposure.id) {
         return Ok(());
     }
-    context.step("finishing the frame that was under way");
+    context.step("finishing the frame that was under way", Lasts::Frame(exposure.exposure_s));
     let mut unspooled = Unspooled::of(context)?;
     exposed(context, camera, &exposure.id, exposure.exposure_s, open_sky).await?;
     // What counts next counts with it, or without it where it was lost.

@@ -10,7 +10,9 @@ use schedule::shot::fits;
 use super::run::FlatsRun;
 use crate::action_error::ActionError;
 use crate::devices::cover_calibrator::Cover;
+use crate::expected::Lasts;
 use crate::row_context::{FoundPanel, RowContext};
+use schedule::plan::TimedPart;
 
 /// Changes of the brightness for one filter, at most.
 const CHANGES: u32 = 4;
@@ -88,7 +90,7 @@ async fn begin(context: &RowContext, brightness: Option<i64>) -> Result<(&Cover,
     }
     context.set_panel(Some(FoundPanel { was_open: cover.cover() == Some(Shut::Open) }));
     if can.cover {
-        context.step("closing the cover");
+        context.step("closing the cover", Lasts::Part(TimedPart::Close));
         cover.close().await?;
     } else if context.tools.devices.domes.iter().any(|dome| dome.shutter() != Some(Shutter::Closed)) {
         return impossible(format!("{device} has no cover, and the dome is not closed: the sky would shine in"));
@@ -107,7 +109,7 @@ struct Lamp<'a> {
 
 impl Lamp<'_> {
     async fn light(&self, context: &RowContext) -> Result<(), ActionError> {
-        context.step(format!("lighting the panel, brightness {} of {}", self.now, self.most));
+        context.step(format!("lighting the panel, brightness {} of {}", self.now, self.most), Lasts::Seconds(0.0));
         self.cover.light(self.now).await
     }
 

@@ -12,10 +12,12 @@ use schedule::action::parameters::FocusWanted as Focus;
 use schedule::flats::exposure::{Level, Light, Seen, Want};
 use schedule::flats::filter::{Filter, LOOKS, MAX_ADU, candidate, summary, to_ms};
 use schedule::flats::order::{Candidate, Order};
+use schedule::plan::TimedPart;
 use schedule::shot::{Shot, fits};
 
 use crate::action_error::ActionError;
 use crate::devices::camera::subframe;
+use crate::expected::Lasts;
 use crate::exposing::{Series, adopt, aside, intend, single};
 use crate::frames::looked::Looked;
 use crate::journal::Journal;
@@ -92,7 +94,7 @@ impl<'a> FlatsRun<'a> {
         if run.is_done() {
             return Ok(run);
         }
-        context.step("cooling");
+        context.step("cooling", Lasts::Part(TimedPart::Cool));
         context.cool().await?;
         if config.bias_adu.is_none() {
             run.want.bias_adu = run.bias_adu().await?;
@@ -109,7 +111,7 @@ impl<'a> FlatsRun<'a> {
     async fn resume(&mut self) -> Result<(), ActionError> {
         let (tools, row) = (&self.context.tools, &self.context.row.id);
         for frame in tools.journal.flats(row).unjudged {
-            self.context.step("judging a frame of before");
+            self.context.step("judging a frame of before", Lasts::Seconds(LATE.as_secs_f64()));
             let looked = tokio::time::timeout(LATE, tools.frames.looks.of(&frame)).await.ok();
             let filter = looked.as_ref().and_then(|looked| looked.frame.purpose.filter.clone());
             let seen = looked.and_then(|looked| seen(&looked, false).ok());
@@ -244,7 +246,7 @@ impl<'a> FlatsRun<'a> {
     /// Takes no more of a filter.
     pub fn give_up(&mut self, index: usize, why: &'static str) {
         if let Some(filter) = self.request.filters.get_mut(index) {
-            self.context.step(format!("no flats of {} any more: {why}", filter.words()));
+            self.context.step(format!("no flats of {} any more: {why}", filter.words()), Lasts::Open);
             filter.given_up = Some(why);
         }
     }

@@ -11,9 +11,11 @@ use units::seconds;
 use super::run::FlatsRun;
 use crate::action_error::ActionError;
 use crate::devices::telescope::Mount;
+use crate::expected::Lasts;
 use crate::opening::{self, Opener};
 use crate::row_context::RowContext;
 use crate::slit::Aimed;
+use schedule::plan::TimedPart;
 
 /// The place opposite to the Sun is gone to again when it is further off than this, deg.
 const ASTRAY_DEG: f64 = 10.0;
@@ -54,7 +56,10 @@ pub async fn run(run: &mut FlatsRun<'_>, opener: &Opener) -> Result<(), ActionEr
                     break;
                 }
                 let (how, words) = (if trend == Trend::Fades { "bright" } else { "dark" }, run.words(index));
-                context.small_step(format!("waiting {wait_s:.0} s: the sky is too {how} for {words}"));
+                context.small_step(
+                    format!("waiting {wait_s:.0} s: the sky is too {how} for {words}"),
+                    Lasts::Seconds(wait_s),
+                );
                 context.clock().sleep_sky(seconds(wait_s)).await;
                 sound = Some(index);
             }
@@ -119,9 +124,10 @@ async fn wait_for(context: &RowContext, window: &Window) -> Result<bool, ActionE
             return Ok(false);
         };
         let (sun_deg, at) = (sun.altitude.degrees(), opens.strftime("%H:%M:%S"));
-        context.step(format!("waiting for the Sun, now at {sun_deg:.1} deg, until {at} UTC"));
         // A second more: the window has no end of its own.
-        context.clock().sleep_sky(seconds(opens.seconds_since(now) + 1.0)).await;
+        let wait_s = opens.seconds_since(now) + 1.0;
+        context.step(format!("waiting for the Sun, now at {sun_deg:.1} deg, until {at} UTC"), Lasts::Seconds(wait_s));
+        context.clock().sleep_sky(seconds(wait_s)).await;
     }
 }
 
@@ -148,9 +154,9 @@ impl<'a> FlatsAim<'a> {
         let aimed = Some(Aimed::at(&context.tools.slits, mount, base));
         let index = context.tools.journal.progress(&context.row.id).taken;
         let aim = Self { context, mount, base, index, step_arcsec, aimed };
-        context.step("opening");
+        context.step("opening", Lasts::Part(TimedPart::Open));
         opening::open(opener, &chain).await?;
-        context.step("slewing away from the Sun");
+        context.step("slewing away from the Sun", Lasts::Part(TimedPart::Slew));
         aim.go().await?;
         Ok(aim)
     }

@@ -11,6 +11,7 @@ use super::FocusData;
 use super::run::{FocusRequest, find};
 use crate::action_error::ActionError;
 use crate::devices::focuser::Focuser;
+use crate::expected::Lasts;
 use crate::exposing::{Series, expose_with};
 use crate::row_context::RowContext;
 
@@ -116,7 +117,7 @@ async fn refocus(
     let can = focuser.instrument.capabilities().await?;
     let Some(start) = focuser.position() else { return Ok(()) };
     let travel = Focuser::travel(&can, start);
-    context.step("the stars grow wide: focusing");
+    context.step("the stars grow wide: focusing", Lasts::Seconds(0.0));
     let request = FocusRequest {
         plan: plan(focuser, start, start, half_range(focus, focuser, travel), travel),
         meter: Meter { operator: None, least_snr: 10.0, others: Vec::new(), looks_for_saturation: false },

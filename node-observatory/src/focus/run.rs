@@ -16,6 +16,7 @@ use super::published_run::{About, PublishedRun};
 use crate::action_error::ActionError;
 use crate::command_timeout::command_timeout;
 use crate::devices::focuser::Focuser;
+use crate::expected::Lasts;
 use crate::exposing::{Series, intend, single};
 use crate::frames::looked::caught;
 use crate::frames::stepped_back;
@@ -71,7 +72,7 @@ pub async fn find(
     let outcome = loop {
         match sweep.next() {
             FocusStep::Move(position) => {
-                context.small_step(format!("focusing: to {position} steps"));
+                context.small_step(format!("focusing: to {position} steps"), Lasts::Seconds(0.0));
                 focuser.go(i64::from(position)).await?;
             }
             FocusStep::Expose(pass) => {

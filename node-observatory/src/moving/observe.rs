@@ -10,10 +10,12 @@ use super::path::Path;
 use super::rated_motion::RatedMotion;
 use crate::action_error::ActionError;
 use crate::devices::telescope::Mount;
+use crate::expected::Lasts;
 use crate::exposing::Series;
 use crate::focus::{FocusData, expose_in_focus};
 use crate::pointing::{self, Flip, PointingData};
 use crate::row_context::RowContext;
+use schedule::plan::TimedPart;
 
 /// A body that has moved less than this during a slew is still met, arcsec.
 const MET_ARCSEC: f64 = 1.0;
@@ -93,12 +95,12 @@ pub async fn observe(
             let now = clock.utc();
             let Some(following) = shot(taken, now, end) else { break 'recenter taken };
             if flip.is_due(&here, following.exposure_s, now) {
-                context.step("meridian flip");
+                context.step("meridian flip", Lasts::Part(TimedPart::Slew));
                 turned_from = flip.side();
                 break;
             }
             if is_due(now) {
-                context.step("back to the moving target");
+                context.step("back to the moving target", Lasts::Part(TimedPart::Slew));
                 break;
             }
         }
@@ -125,14 +127,15 @@ async fn meet(
         let began = clock.utc();
         let meeting = began.plus_seconds(lead_s);
         let place = path.icrs(meeting)?;
-        context.step("slewing to the moving target");
+        context.step("slewing to the moving target", Lasts::Part(TimedPart::Slew));
         send(context, pointing, mount, &place, request.correction).await?;
         // A mount that tracks the place of date holds what it was sent at the time of the slew.
         let arrived = clock.utc();
         let spot = path.of_mount(&place, &context.observer(arrived)?)?;
         if arrived <= meeting {
-            context.step("waiting for the moving target");
-            clock.sleep_sky(seconds(meeting.seconds_since(arrived))).await;
+            let wait_s = meeting.seconds_since(arrived);
+            context.step("waiting for the moving target", Lasts::Seconds(wait_s));
+            clock.sleep_sky(seconds(wait_s)).await;
             return Ok(RatedMotion::begun(meeting, spot));
         }
         if path.spot(arrived)?.apart_arcsec(&spot) < MET_ARCSEC {

@@ -13,6 +13,7 @@ use super::gate::round;
 use super::{PointingData, icrs, pair};
 use crate::action_error::ActionError;
 use crate::devices::telescope::Mount;
+use crate::expected::Lasts;
 use crate::exposing::{Series, aside};
 use crate::row_context::RowContext;
 
@@ -146,7 +147,7 @@ async fn frames(
                     PointingStep::Slew(to) => {
                         last = format!("it looks {off_arcmin:.2} arcmin off the target");
                         if way.frames_left > 0 {
-                            context.step(format!("correcting by {off_arcmin:.2} arcmin"));
+                            context.step(format!("correcting by {off_arcmin:.2} arcmin"), Lasts::Part(TimedPart::Slew));
                             let to = icrs(to);
                             mount.point(&to, &context.visible(&to)?).await?;
                             calm(context, mount, way.exptime_s).await;
@@ -166,7 +167,7 @@ async fn frames(
         match remedy {
             Remedy::Nothing => return Err(unproven(context, why, false)),
             Remedy::Wait if way.frames_left > 0 => {
-                context.step(format!("waiting for the clouds to pass: {why}"));
+                context.step(format!("waiting for the clouds to pass: {why}"), Lasts::Seconds(config.clouds_wait_s));
                 context.clock().sleep_sky(seconds(config.clouds_wait_s)).await;
             }
             Remedy::Longer | Remedy::Shorter | Remedy::Wait | Remedy::Again => {}
@@ -180,7 +181,7 @@ async fn frames(
 pub async fn calm(context: &RowContext, mount: &Mount, exposure_s: f64) {
     let wait_s = mount.config.settle_factor * exposure_s;
     if wait_s > 0.0 {
-        context.step(format!("waiting {wait_s:.1} s for the mount to come to rest"));
+        context.step(format!("waiting {wait_s:.1} s for the mount to come to rest"), Lasts::Seconds(wait_s));
         context.clock().sleep_sky(seconds(wait_s)).await;
     }
 }

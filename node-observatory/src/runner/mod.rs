@@ -204,6 +204,7 @@ impl Runner {
             object: row.action.object().map(str::to_owned),
             step: "starting".to_owned(),
             started_utc: now,
+            expected_by_utc: None,
         });
         let (withdrawn, withdrawal) = watch::channel(false);
         self.begun.insert(row.id.clone(), Begun { row: row.clone(), number, withdrawn });

@@ -11,6 +11,7 @@ use units::{Utc, seconds};
 
 use crate::action::{self, Techniques};
 use crate::action_error::ActionError;
+use crate::expected::Lasts;
 use crate::row_context::RowContext;
 
 /// How a row ended.
@@ -86,7 +87,7 @@ pub async fn run_row(context: &RowContext, techniques: &Techniques, withdrawn: w
         }
         retried += 1;
         tracing::warn!(row = context.index, %error, retried, "trying again");
-        context.small_step(format!("trying again after: {error}"));
+        context.small_step(format!("trying again after: {error}"), Lasts::Seconds(faults.pause_s));
         tokio::select! {
             objection = context.tools.authority.objected(&context.row) => return RowEnd::Interrupted(objection),
             () = withdrawn_between_frames(context, withdrawn.clone()) => return RowEnd::Withdrawn,

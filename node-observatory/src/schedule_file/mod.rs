@@ -3,6 +3,7 @@
 //! The crate `schedule` defines what a schedule is.
 
 mod answering;
+pub mod earlier_nights;
 mod file;
 pub mod findings;
 mod plan;
@@ -18,6 +19,7 @@ use tokio::sync::watch;
 pub use file::Loaded;
 pub use put::put;
 
+use self::earlier_nights::EarlierNights;
 use self::versions::Versions;
 use crate::authority::Authority;
 use crate::devices::Devices;
@@ -38,6 +40,8 @@ pub struct ScheduleFile {
     pub reload: watch::Sender<u64>,
     /// The text that is active; held by whoever replaces it.
     pub active: Mutex<Option<ActiveText>>,
+    /// The archive's telemetry, for forecasts.
+    pub earlier_nights: Arc<EarlierNights>,
 }
 
 /// The text of the active schedule.

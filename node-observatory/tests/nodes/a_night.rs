@@ -112,6 +112,35 @@ async fn a_restart_resumes_in_the_middle_of_an_exposure() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_frame_that_does_not_end_is_told_before_anything_fails_and_the_next_step_ends_that() {
+    let mut site = Site::new(20.0).await;
+    site.more = "[faults]\noverdue_s = 0.1\n";
+    let object = format!(r#"{{"object": "x", "exptime": 10, {TARGET}, "n": 2}}"#);
+    site.write_schedule(&[("object", &object, "03:00:00", "08:00:00")]);
+    site.shutter_of_camera.hold_after(0);
+    let node = site.start().await;
+    let overdue = |site: &Site| -> Option<String> {
+        let alerts = site.alerts.get()?.sample.body.alerts;
+        let is_it =
+            |alert: &contract::observatory::Alert| alert.id.contains("step-overdue") && alert.returned_utc.is_none();
+        alerts.into_iter().find(is_it).map(|alert| alert.cause)
+    };
+    let is_due = |night: &contract::observatory::NightState| {
+        night.actions.iter().any(|action| action.step.starts_with("exposing") && action.expected_by_utc.is_some())
+    };
+    site.until("exposing, with its time", MOST, |site| night_is(site, is_due)).await;
+    site.until("overdue", MOST, |site| overdue(site).is_some()).await;
+    let cause = overdue(&site).unwrap();
+    assert!(
+        cause.starts_with("row 0 (object): \"exposing 1 of 2") && cause.contains("should have ended by 03:"),
+        "{cause}"
+    );
+    site.shutter_of_camera.let_go();
+    site.until("the next step", MOST, |site| overdue(site).is_none()).await;
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn turning_the_robotic_switch_off_closes_and_on_goes_on() {
     let site = Site::new(20.0).await;
     let object = format!(r#"{{"object": "x", "exptime": 10, {TARGET}}}"#);

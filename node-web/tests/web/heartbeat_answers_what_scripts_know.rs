@@ -25,6 +25,7 @@ fn night(robotic: bool, posture: Posture) -> NightState {
             object: Some("TRAPPIST-1".into()),
             step: "slewing".into(),
             started_utc: now(),
+            expected_by_utc: None,
         }],
         frames: 7,
         open_s: 60.0,

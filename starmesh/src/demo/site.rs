@@ -152,16 +152,20 @@ impl DemoNight {
                     }
                 }
                 let (index, _) = best.context("no field is left for the demo")?;
-                let NamedField { name, ra_deg, dec_deg, .. } = left.swap_remove(index);
-                of_telescope.push((name, ra_deg, dec_deg, start, end));
+                of_telescope.push(Slot { field: left.swap_remove(index), start, end });
             }
         }
         Ok(slots)
     }
 }
 
-/// A field and when it is observed: name, right ascension and declination (ICRS degrees), start, end.
-type Slot = (&'static str, f64, f64, Utc, Utc);
+/// A field, and when it is observed.
+#[derive(Debug, Clone, Copy)]
+struct Slot {
+    field: NamedField,
+    start: Utc,
+    end: Utc,
+}
 
 impl Plan {
     /// The schedule, JSONL: cool, open, five objects pointed and guided, close, flats, darks, headers.
@@ -179,9 +183,10 @@ impl Plan {
         row("open", json!({}), night.dusk, night.dawn);
         // Coarse pixels are full of sky without a filter.
         let filters = if self.shares { FILTERS.get(..4).unwrap_or(&FILTERS) } else { &FILTERS };
-        for ((name, ra_deg, dec_deg, start, end), filter) in self.slots.iter().zip(filters.iter().cycle()) {
+        for (Slot { field, start, end }, filter) in self.slots.iter().zip(filters.iter().cycle()) {
+            let NamedField { name, ra_deg, dec_deg, exptime_s, .. } = field;
             let value = json!({
-                "object": name, "ra": ra_deg, "dec": dec_deg, "exptime": 120.0, "n": 20, "filter": filter,
+                "object": name, "ra": ra_deg, "dec": dec_deg, "exptime": exptime_s, "n": 20, "filter": filter,
                 "pointing": true, "guiding": true,
             });
             row("object", value, *start, *end);
@@ -190,7 +195,12 @@ impl Plan {
         // Behind the closed cover, which has a lamp.
         let flats = json!({ "filter": FILTERS, "n": FILTERS.map(|_| 3), "source": "panel" });
         row("flats", flats, night.dawn.plus_seconds(1.0), night.dawn.plus_seconds(2.0 * 3600.0));
-        let calibration = json!({ "exptime": [0.0, 30.0, 120.0], "n": [5, 3, 3] });
+        // Darks as long as the frames of the night.
+        let mut exptimes: Vec<f64> = self.slots.iter().map(|slot| slot.field.exptime_s).chain([0.0]).collect();
+        exptimes.sort_by(f64::total_cmp);
+        exptimes.dedup();
+        let counts: Vec<u32> = exptimes.iter().map(|exptime_s| if *exptime_s > 0.0 { 3 } else { 5 }).collect();
+        let calibration = json!({ "exptime": exptimes, "n": counts });
         row("calibration", calibration, night.dawn.plus_seconds(2.0), night.dawn.plus_seconds(2.0 * 3600.0));
         row("complete_headers", json!({}), night.dawn.plus_seconds(3.0), night.dawn.plus_seconds(12.0 * 3600.0));
         rows.join("\n") + "\n"
@@ -311,7 +321,7 @@ mod tests {
                 let plans = Plan::of(count, now).unwrap();
                 for (index, plan) in plans.iter().enumerate() {
                     assert_eq!(plan.slots.len(), SLOTS as usize);
-                    for (name, ra_deg, dec_deg, start, end) in &plan.slots {
+                    for Slot { field: NamedField { name, ra_deg, dec_deg, .. }, start, end } in &plan.slots {
                         let field = Icrs::from_degrees(*ra_deg, *dec_deg);
                         let (place, orientation) = (&plan.night.place, EarthOrientation::default());
                         let lowest = sky::lowest_altitude(place, &orientation, &field, *start, *end).unwrap();
@@ -319,7 +329,7 @@ mod tests {
                         assert!(altitude_deg > lowest_deg, "{name} of {index} in month {month}: {altitude_deg}");
                         let same_site = plans.iter().filter(|other| other.telescope.site == plan.telescope.site);
                         let all = same_site.flat_map(|other| &other.slots);
-                        assert_eq!(all.filter(|slot| slot.0 == *name).count(), 1, "{name}");
+                        assert_eq!(all.filter(|slot| slot.field.name == *name).count(), 1, "{name}");
                     }
                 }
             }

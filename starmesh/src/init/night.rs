@@ -77,7 +77,7 @@ fn rows(
         lines.push(row.to_string());
     };
     let has = |kind: Kind| config.devices().iter().any(|(known, _)| *known == kind);
-    let NamedField { name, ra_deg, dec_deg, .. } = *field;
+    let NamedField { name, ra_deg, dec_deg, exptime_s, .. } = *field;
     let later = |seconds: f64| dusk.plus_seconds(seconds);
     if config.camera.first().is_some_and(|camera| camera.temperature_c.is_some()) {
         row("The camera is cooled to camera.temperature_c.", "cool_camera", json!({}), later(-1800.0), dawn);
@@ -85,7 +85,7 @@ fn rows(
     if has(Kind::Dome) {
         row("The dome opens once it is dark (nautical dusk), if the sky allows it.", "open", json!({}), dusk, dawn);
     }
-    let mut value = json!({ "object": name, "exptime": 120.0, "n": 20 });
+    let mut value = json!({ "object": name, "exptime": exptime_s, "n": 20 });
     if has(Kind::Telescope)
         && let Value::Object(value) = &mut value
     {
@@ -108,8 +108,9 @@ fn rows(
         row(about, "object", json!(value), later(2.0), observed);
     }
     row("Everything is closed and parked.", "close", json!({}), later(3.0), dawn.plus_seconds(3600.0));
-    let dark = json!({ "exptime": [0.0, 120.0], "n": [5, 3] });
-    row("Five bias frames, and three darks of 120 s.", "calibration", dark, later(4.0), dawn.plus_seconds(7200.0));
+    let dark = json!({ "exptime": [0.0, exptime_s], "n": [5, 3] });
+    let about = format!("Five bias frames, and three darks of {exptime_s} s.");
+    row(&about, "calibration", dark, later(4.0), dawn.plus_seconds(7200.0));
     row(
         "Headers are completed with what was measured meanwhile.",
         "complete_headers",

@@ -125,6 +125,9 @@ pub struct ActionNow {
     pub step: String,
     /// Sky time of its start.
     pub started_utc: Utc,
+    /// Sky time by which the step should have ended, where that can be told: beyond it, `step-overdue` is an alert.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected_by_utc: Option<Utc>,
 }
 
 /// The node that commands this telescope.

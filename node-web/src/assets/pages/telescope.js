@@ -50,6 +50,13 @@ function Holds({ list, sky, open }) {
   return html`<div data-testid="reasons"><div class="tagline">${open ? "Ought to be closed because of" : "Keeps it closed"}</div><ul class="holds">${sorted.map((one) => html`<li key=${one.input ?? one.what}><b title=${one.input ?? null}>${one.what}</b><span>${one.why}</span><span class="m end">${one.at ? html`can clear <b>${clock(one.at)}</b>, <span class="nw">in ${duration((one.at - sky) / 1000)}</span>` : `until ${one.until}`}</span></li>`)}</ul></div>`;
 }
 
+/** By when the step should have ended, counted down; beyond it, by how much it is late. */
+function Expected({ by, sky }) {
+  const left = by && sky ? (Date.parse(by) - sky) / 1000 : null;
+  if (left === null) return null;
+  return html`<span class=${left < 0 ? "ink-p2" : "m"} data-testid="expected">${left < 0 ? html`should have ended ${duration(-left)} ago` : html`should end by ${clock(by)}, <span class="nw">in ${duration(left)}</span>`}</span>`;
+}
+
 function Doing({ id, summary, states }) {
   const now = standing(summary);
   const [what, sub] = activity(summary, now);
@@ -66,7 +73,7 @@ function Doing({ id, summary, states }) {
   const after = rows.find((one) => one.status === "interrupted" && Date.parse(one.end_utc) > sky) ?? next;
   const then = after ? ` Then ${[after.action, after.object].filter(Boolean).join(" ")}${after.status === "interrupted" ? " goes on" : ` at ${hourMinute(after.start_utc)}`}.` : "";
   const waits = !now.fresh ? "Not known." : list.length ? `${list.map((one) => one.what).join(", ").replace(/^./, (first) => first.toUpperCase())}.${then}` : row ? `Nothing.${next ? ` Next: ${[next.action, next.object].filter(Boolean).join(" ")} at ${hourMinute(next.start_utc)}.` : ""}` : next ? `${next.action} at ${hourMinute(next.start_utc)}.` : "Nothing.";
-  return html`<section class="card stack" aria-label="Now" data-testid="now"><div class="row start wrap"><div class="grow"><div class="tagline">Does</div><div class="row base wrap"><span class="big">${what}</span><span class="m">${sub}</span></div></div>
+  return html`<section class="card stack" aria-label="Now" data-testid="now"><div class="row start wrap"><div class="grow"><div class="tagline">Does</div><div class="row base wrap"><span class="big">${what}</span><span class="m">${sub}</span>${now.fresh && html`<${Expected} by=${summary.activity?.[0]?.expected_by_utc} sky=${sky} />`}</div></div>
       ${light && html`<div class="light"><div class="row between"><span class="m">this frame</span><span><b>${number(light.passed, 0)}</b> <span class="m">of ${plain(light.total)} s</span></span></div><div class="bar lg lit"><i style=${{ width: `${(light.part * 100).toFixed(1)}%` }}></i></div></div>`}</div>
     <div class="grid g3"><div><div class="tagline">Why</div><div>${why}</div></div><div><div class="tagline">Until</div><div>${until}</div></div><div><div class="tagline">Waits for</div><div>${waits}</div></div></div>
     ${list.length > 0 && html`<${Holds} list=${list} sky=${sky} open=${now.posture !== "closed"} />`}

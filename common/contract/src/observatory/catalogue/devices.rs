@@ -12,6 +12,16 @@ pub(super) const ROW_POSTPONED: AlertEntry = AlertEntry {
     ..PLAIN
 };
 
+pub(super) const STEP_OVERDUE: AlertEntry = AlertEntry {
+    word: "step-overdue",
+    instance: "CAMERA",
+    priority: Priority::High,
+    consequence: "The row may stand still, and take no frames, although every node and device answers.",
+    action: "Look at what the step waits for on the telescope's page, and at the log of these minutes. Skip the row, or close \
+             and begin again, if it does not go on.",
+    ..PLAIN
+};
+
 pub(super) const ROW_FAILED: AlertEntry = AlertEntry {
     word: "row-failed",
     instance: "KIND",
