@@ -11,8 +11,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use contract::Name;
 use contract::observatory::AlertKind;
+use contract::{Name, Reason};
 use node::NodeAlerts;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -45,6 +45,14 @@ pub enum Unchanged {
     /// It was made for another state than the present one.
     #[error("{0}")]
     Overtaken(String),
+    /// A device does not do it.
+    #[error("{detail}")]
+    Device {
+        /// For programs.
+        reason: Reason,
+        /// For people.
+        detail: String,
+    },
     /// The disk does not take it.
     #[error("the disk does not take it ({path}): {source}; nothing was changed")]
     Disk {

@@ -14,6 +14,7 @@ use safety::annunciator::Annunciator;
 use safety::ordered_by::OrderedBy;
 use sky::NightDate;
 
+use crate::action_error::ActionError;
 use crate::active_orders::OrderState;
 use crate::authority::Authority;
 use crate::devices::Devices;
@@ -187,6 +188,7 @@ pub async fn when_written(telescope: &Telescope, tightened: &Tightened, order: &
             let reason = if still().is_ok() { Reason::Malformed } else { Reason::NotNow };
             refuse(&order.id, reason, &why)
         }
+        Err(Unchanged::Device { reason, detail }) => refuse(&order.id, reason, &detail),
         Err(Unchanged::Overtaken(why)) => refuse(&order.id, Reason::WrongState, &why),
         Err(failed @ Unchanged::Disk { .. }) => refuse(&order.id, Reason::NotNow, &failed.to_string()),
     }
@@ -221,7 +223,14 @@ async fn cooler(
     };
     let command = command(&found.config).map_err(Unchanged::Refused)?;
     let taken = found.instrument.ask_within(&CommandId::fresh(), command, COOLER_TURN).await;
-    taken.map_err(|error| Unchanged::Refused(error.to_string()))
+    taken.map_err(|error| {
+        let reason = match &error {
+            ActionError::Refused { reason, .. } => *reason,
+            ActionError::Unanswered { .. } => Reason::NotConnected,
+            _ => Reason::DeviceError,
+        };
+        Unchanged::Device { reason, detail: error.to_string() }
+    })
 }
 
 async fn turn_robotic_on(telescope: &Telescope, still: impl Fn() -> Result<(), String>) -> Result<(), Unchanged> {

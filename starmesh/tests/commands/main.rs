@@ -14,6 +14,7 @@ mod finds_frames;
 mod lets_users_in;
 mod makes_copies_for_archives;
 mod measures_images;
+mod orders_are_one_by_every_way;
 mod plans_schedules;
 mod real_sky;
 mod real_sky_solved;

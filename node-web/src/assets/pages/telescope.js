@@ -11,7 +11,7 @@ import { SkyMap } from "../sky.js";
 import { useSite } from "../site.js";
 import { useForecast } from "../forecast.js";
 import { Age, Card, Empty, Guard, Priority, Stat, Table, Time, standing } from "../parts.js";
-import { ageOf, quality, skyNow, tick, useTopic } from "../store.js";
+import { ageOf, quality, skyNow, skySpeed, tick, useTopic } from "../store.js";
 import { inputWords } from "../shell.js";
 import { useCorrections } from "../corrections.js";
 import { activity } from "../activity.js";
@@ -50,10 +50,11 @@ function Holds({ list, sky, open }) {
   return html`<div data-testid="reasons"><div class="tagline">${open ? "Ought to be closed because of" : "Keeps it closed"}</div><ul class="holds">${sorted.map((one) => html`<li key=${one.input ?? one.what}><b title=${one.input ?? null}>${one.what}</b><span>${one.why}</span><span class="m end">${one.at ? html`can clear <b>${clock(one.at)}</b>, <span class="nw">in ${duration((one.at - sky) / 1000)}</span>` : `until ${one.until}`}</span></li>`)}</ul></div>`;
 }
 
-/** By when the step should have ended, counted down; beyond it, by how much it is late. */
+/** By when the step should have ended, counted down; beyond it, by how much it is late. Under a sky that runs faster than the machine
+    the time is mostly the machine's, and means nothing to a person. */
 function Expected({ by, sky }) {
   const left = by && sky ? (Date.parse(by) - sky) / 1000 : null;
-  if (left === null) return null;
+  if (left === null || skySpeed() > 1) return null;
   return html`<span class=${left < 0 ? "ink-p2" : "m"} data-testid="expected">${left < 0 ? html`should have ended ${duration(-left)} ago` : html`should end by ${clock(by)}, <span class="nw">in ${duration(left)}</span>`}</span>`;
 }
 
