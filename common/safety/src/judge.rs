@@ -293,7 +293,16 @@ fn evaluate_sun(most_deg: f64, history: &History, evaluation: &mut Evaluation) {
         let by = history.sun.by.as_ref().map(|by| format!(" if {by}")).unwrap_or_default();
         evaluation.closing(
             input,
-            format!("altitude {value}{by}, allowed are {} deg", number(most_deg)),
+            match altitude_deg {
+                Ok(altitude_deg) if altitude_deg.is_finite() => {
+                    format!(
+                        "altitude {} deg{by}, allowed are {} deg",
+                        beyond(*altitude_deg, most_deg, 1),
+                        number(most_deg)
+                    )
+                }
+                _ => format!("altitude {value}{by}, allowed are {} deg", number(most_deg)),
+            },
             history.sun.low_in,
         );
     }
@@ -318,15 +327,26 @@ fn number(value: f64) -> String {
     format!("{:.2}", value).trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
+/// A value with so many decimals, or as many more as show that it is not its limit.
+fn beyond(value: f64, limit: f64, decimals: usize) -> String {
+    let shown = |decimals: usize| format!("{value:.decimals$}");
+    let decimals =
+        (decimals..=6).find(|decimals| shown(*decimals) != format!("{limit:.decimals$}")).unwrap_or(decimals);
+    shown(decimals)
+}
+
 fn violation(rule: &LimitRule, value: f64) -> String {
-    let words = number(value);
+    let words = |limit: f64| match number(value) {
+        same if same == number(limit) => beyond(value, limit, 3),
+        words => words,
+    };
     match (rule.bad.upper, rule.bad.lower, rule.reopen.upper, rule.reopen.lower) {
-        (Some(upper), ..) if value > upper => format!("{words} is above {}", number(upper)),
-        (_, Some(lower), ..) if value < lower => format!("{words} is below {}", number(lower)),
-        (_, _, Some(upper), _) if value > upper => format!("{words} is not down to {} yet", number(upper)),
-        (_, _, _, Some(lower)) if value < lower => format!("{words} is not up to {} yet", number(lower)),
+        (Some(upper), ..) if value > upper => format!("{} is above {}", words(upper), number(upper)),
+        (_, Some(lower), ..) if value < lower => format!("{} is below {}", words(lower), number(lower)),
+        (_, _, Some(upper), _) if value > upper => format!("{} is not down to {} yet", words(upper), number(upper)),
+        (_, _, _, Some(lower)) if value < lower => format!("{} is not up to {} yet", words(lower), number(lower)),
         // It is within both bounds.
-        _ => format!("{words} is not known to be good"),
+        _ => format!("{} is not known to be good", number(value)),
     }
 }
 

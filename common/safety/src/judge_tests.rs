@@ -355,6 +355,14 @@ fn of_three_stations_that_vote_any_bad_one_decides_and_one_good_one_suffices() {
 }
 
 #[test]
+fn a_value_has_as_many_decimals_as_show_that_it_is_not_its_limit() {
+    let told = [(15.001, 15.0, 2), (15.2, 15.0, 2), (0.04, 0.0, 1), (15.0, 15.0, 2), (1e300, 15.0, 0)];
+    let told = told.map(|(value, limit, decimals)| beyond(value, limit, decimals));
+    assert_eq!(told[..4], ["15.001", "15.20", "0.04", "15.00"]);
+    assert_eq!(told[4].len(), 301);
+}
+
+#[test]
 fn the_sun_closes() {
     let mut scenario = one_monitor(0).monitor_reports(0, [10], word(true, 0));
     scenario.rules.sun_altitude_max_deg = Some(-1.0);
@@ -367,6 +375,8 @@ fn the_sun_closes() {
     }
     scenario.history.sun.altitude_deg = Ok(3.21);
     assert_eq!(why(&scenario.judged(10)), "altitude 3.2 deg, allowed are -1 deg");
+    scenario.history.sun.altitude_deg = Ok(-0.996);
+    assert_eq!(why(&scenario.judged(10)), "altitude -0.996 deg, allowed are -1 deg", "not its limit");
     assert_eq!(scenario.judged(10).time_to_safe_s, None);
     scenario.history.sun.low_in = Some(Duration::from_secs(600));
     assert_eq!(scenario.judged(10).time_to_safe_s, Some(600.0));

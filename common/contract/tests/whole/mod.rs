@@ -17,9 +17,10 @@ pub fn is(document: &str, generated: &str) {
     }
     let line = file.lines().zip(generated.lines()).take_while(|(old, new)| old == new).count();
     panic!(
-        "{document} is out of date; run UPDATE_DOCS=1 cargo test -p {}\n it says:  {:?}\n the code: {:?}",
+        "{document} is out of date from line {}; run UPDATE_DOCS=1 cargo test -p {}; it says {:?}, the code {:?}",
+        line + 1,
         env!("CARGO_PKG_NAME"),
-        file.lines().nth(line),
-        generated.lines().nth(line)
+        file.lines().nth(line).unwrap_or_default().trim(),
+        generated.lines().nth(line).unwrap_or_default().trim()
     );
 }
