@@ -30,6 +30,9 @@ async function open(address, options = {}) {
 const shown = (part) => part.evaluate(({ dataset }) => [Number(dataset.from), Number(dataset.to)]);
 const length = ([from, to]) => to - from;
 
+/** Where an element is; a chart that is drawn anew has another one a moment later. */
+const boxOf = (element) => becomes(() => element.boundingBox(), Boolean, "it has a place on the page");
+
 /** Waits until the part of the time meets a condition, and gives it. */
 const until = (part, met, told) => becomes(() => shown(part), met, told);
 
@@ -55,7 +58,7 @@ for (const [what, address, selector] of [["the timeline of the night", "/t/demo/
 
     const spot = part.locator("canvas, svg").first();
     await spot.scrollIntoViewIfNeeded();
-    const box = await spot.boundingBox();
+    const box = await boxOf(spot);
     const y = box.y + box.height / 2;
     await page.mouse.move(box.x + box.width / 2, y);
     await page.mouse.down();
@@ -75,7 +78,7 @@ for (const [what, address, selector] of [["the timeline of the night", "/t/demo/
     const look = page.locator(".look", { has: part }).or(part).first();
     const spot = part.locator("canvas, svg").first();
     await spot.scrollIntoViewIfNeeded();
-    const box = await spot.boundingBox();
+    const box = await boxOf(spot);
     await page.mouse.click(box.x + box.width * 0.4, box.y + box.height / 2);
     const link = look.locator('[data-testid="log-here"]');
     const at = Date.parse(new URL(await link.evaluate((one) => one.href)).searchParams.get("at"));
@@ -96,7 +99,7 @@ test("two fingers zoom the timeline, one drags it, and a touch chooses a moment"
   await part.evaluate((one) => one.scrollIntoView({ block: "center" }));
   const before = await shown(part);
   assert.ok(length(before) <= 7.1 * 3600e3, "a phone begins with the hours around now");
-  const { x, y, width, height } = await part.boundingBox();
+  const { x, y, width, height } = await boxOf(part);
   const client = await page.context().newCDPSession(page);
   const touch = (type, ...points) => client.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([px, py], id) => ({ x: px, y: py, id })) });
   const [left, right, middle] = [x + width * 0.45, x + width * 0.6, y + height / 3];
