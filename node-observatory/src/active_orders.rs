@@ -3,13 +3,12 @@
 //!
 //! The file is `operator-orders-TELESCOPE.json` in the data folder.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
 use contract::observatory::{AlertKind, OperatorOrders};
-use node::Node;
+use node::{Node, StandingAlerts};
 use safety::active_orders::ActiveOrders;
 use safety::annunciator::Annunciator;
 use safety::on_disk::OnDisk;
@@ -78,19 +77,10 @@ pub fn path(config: &config::Observatory) -> PathBuf {
 /// Raises an alert for every operator order, so that none is forgotten.
 async fn keep_reminding(node: Node, orders: Arc<Persisted<ActiveOrders>>) -> anyhow::Result<()> {
     let mut orders = orders.subscribe();
-    let mut raised: BTreeSet<(AlertKind, String)> = BTreeSet::new();
+    let mut standing = StandingAlerts::default();
     loop {
-        let now = node.bus.clock().utc();
-        let reminders = orders.borrow_and_update().reminders(now);
-        let mut wanted = BTreeSet::new();
-        for (kind, instance, cause) in reminders {
-            node.alerts.raise(kind, &instance, &cause);
-            wanted.insert((kind, instance));
-        }
-        for (kind, instance) in raised.difference(&wanted) {
-            node.alerts.clear(*kind, instance);
-        }
-        raised = wanted;
+        let reminders = orders.borrow_and_update().reminders(node.bus.clock().utc());
+        standing.keep(reminders, &node.alerts);
         tokio::select! {
             changed = orders.changed() => changed?,
             () = tokio::time::sleep(Duration::from_secs(5)) => {}

@@ -2,13 +2,11 @@
 //! or by assumed figures until there is some. A step that is silent beyond that raises an alert, although every process
 //! and device answers.
 
-use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use bus::Clock;
 use config::Observatory;
 use contract::observatory::{ActionNow, AlertKind};
-use node::NodeAlerts;
 use schedule::plan::{Figure, Overheads, TimedPart};
 use units::Utc;
 
@@ -32,7 +30,13 @@ pub enum Lasts {
     /// So many seconds of sky time.
     Seconds(f64),
     /// Something else decides, and has its own limit or alert: clouds, the verdict, the end of the row.
-    Open,
+    Unbounded,
+}
+
+impl From<TimedPart> for Lasts {
+    fn from(part: TimedPart) -> Self {
+        Self::Part(part)
+    }
 }
 
 impl Lasts {
@@ -40,7 +44,7 @@ impl Lasts {
     fn longest_s(self, action: &str, overheads: &Overheads, allowance_s: f64) -> Option<f64> {
         let most = |figure: Figure| figure.value * if figure.measured > 0 { MEASURED } else { ASSUMED };
         let step_s = match self {
-            Self::Open => return None,
+            Self::Unbounded => return None,
             Self::Seconds(seconds) => seconds,
             Self::Frame(exposure_s) => {
                 exposure_s + most(overheads.frame(action)) + most(overheads.span(TimedPart::Spool))
@@ -58,7 +62,7 @@ impl Lasts {
 /// How long steps take at this telescope, as far as it is known.
 #[derive(Debug)]
 pub struct StepTimes {
-    overheads: Mutex<Arc<Overheads>>,
+    overheads: Mutex<Overheads>,
     /// This in addition, machine s: nobody is woken for less.
     allowance_s: f64,
 }
@@ -66,17 +70,17 @@ pub struct StepTimes {
 impl StepTimes {
     /// Nothing measured yet.
     pub fn assumed(config: &Observatory) -> Self {
-        Self { overheads: Mutex::new(Arc::new(Overheads::assumed(config))), allowance_s: config.faults.overdue_s }
+        Self { overheads: Mutex::new(Overheads::assumed(config)), allowance_s: config.faults.overdue_s }
     }
 
     /// What the telemetry of earlier nights says.
     pub fn learn(&self, overheads: Overheads) {
-        *self.overheads.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(overheads);
+        *self.overheads.lock().unwrap_or_else(PoisonError::into_inner) = overheads;
     }
 
     /// By when a step of an action that begins now should have ended, sky time.
     pub fn expected_by(&self, lasts: Lasts, action: &str, clock: &Clock) -> Option<Utc> {
-        let overheads = self.overheads.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let overheads = self.overheads.lock().unwrap_or_else(PoisonError::into_inner);
         // A busy machine is not quicker under a quick sky.
         let allowance_s = self.allowance_s * clock.speed();
         lasts.longest_s(action, &overheads, allowance_s).map(|longest_s| clock.utc().plus_seconds(longest_s))
@@ -84,34 +88,22 @@ impl StepTimes {
 }
 
 /// The alerts about steps that are silent for longer than they should.
-#[derive(Debug, Default)]
-pub struct Overdue {
-    /// Cameras whose step is.
-    raised: BTreeSet<String>,
-}
-
-impl Overdue {
-    /// Looks at what is under way.
-    pub fn look<'a>(&mut self, actions: impl Iterator<Item = &'a ActionNow>, now: Utc, alerts: &NodeAlerts) {
-        let mut overdue = BTreeSet::new();
-        for action in actions {
-            let Some(by) = action.expected_by_utc.filter(|by| *by < now) else { continue };
-            let ActionNow { row, action, camera, step, .. } = action;
-            if overdue.insert(camera.clone()) && !self.raised.contains(camera) {
-                let by = by.strftime("%H:%M:%S");
-                let cause = format!("row {row} ({action}): \"{step}\" should have ended by {by} UTC");
-                alerts.raise(AlertKind::StepOverdue, camera, &cause);
-            }
-        }
-        for camera in self.raised.difference(&overdue) {
-            alerts.clear(AlertKind::StepOverdue, camera);
-        }
-        self.raised = overdue;
-    }
+pub fn overdue<'a>(
+    actions: impl Iterator<Item = &'a ActionNow>,
+    now: Utc,
+) -> impl Iterator<Item = (AlertKind, String, String)> {
+    actions.filter_map(move |action| {
+        let by = action.expected_by_utc.filter(|by| *by < now)?.strftime("%H:%M:%S");
+        let ActionNow { row, action, camera, step, .. } = action;
+        let cause = format!("row {row} ({action}): \"{step}\" should have ended by {by} UTC");
+        Some((AlertKind::StepOverdue, camera.clone(), cause))
+    })
 }
 
 #[cfg(test)]
 mod tests {
+    use node::{NodeAlerts, StandingAlerts};
+
     use super::*;
 
     fn overheads() -> Overheads {
@@ -128,7 +120,7 @@ mod tests {
         assert_eq!(close.longest_s("close", &overheads, 180.0), Some(2.0 * 100.0 + 180.0));
         assert_eq!(Lasts::Part(TimedPart::Slit).longest_s("object", &overheads, 180.0), Some(SLIT_S + 180.0));
         assert_eq!(Lasts::Seconds(30.0).longest_s("flats", &overheads, 180.0), Some(210.0));
-        assert_eq!(Lasts::Open.longest_s("object", &overheads, 180.0), None);
+        assert_eq!(Lasts::Unbounded.longest_s("object", &overheads, 180.0), None);
         assert_eq!(Lasts::Seconds(f64::NAN).longest_s("flats", &overheads, 180.0), None);
         let frame = Lasts::Frame(600.0).longest_s("object", &overheads, 180.0).unwrap();
         assert!(frame > 780.0 && frame < 900.0, "{frame}");
@@ -152,19 +144,19 @@ mod tests {
             started_utc: begun,
             expected_by_utc: Some(begun.plus_seconds(300.0)),
         };
-        let mut overdue = Overdue::default();
-        overdue.look([&action].into_iter(), begun.plus_seconds(299.0), &alerts);
+        let mut standing = StandingAlerts::default();
+        standing.keep(overdue([&action].into_iter(), begun.plus_seconds(299.0)), &alerts);
         assert!(active().is_empty());
-        overdue.look([&action].into_iter(), begun.plus_seconds(301.0), &alerts);
+        standing.keep(overdue([&action].into_iter(), begun.plus_seconds(301.0)), &alerts);
         let [told] = &active()[..] else { panic!("{:?}", active()) };
         assert_eq!(told, "step-overdue/cam: row 4 (object): \"slewing\" should have ended by 02:35:00 UTC");
         action.expected_by_utc = None;
-        overdue.look([&action].into_iter(), begun.plus_seconds(302.0), &alerts);
+        standing.keep(overdue([&action].into_iter(), begun.plus_seconds(302.0)), &alerts);
         assert!(active().is_empty());
         action.expected_by_utc = Some(begun);
-        overdue.look([&action].into_iter(), begun.plus_seconds(303.0), &alerts);
+        standing.keep(overdue([&action].into_iter(), begun.plus_seconds(303.0)), &alerts);
         assert_eq!(active().len(), 1);
-        overdue.look(std::iter::empty(), begun.plus_seconds(304.0), &alerts);
+        standing.keep(overdue(std::iter::empty(), begun.plus_seconds(304.0)), &alerts);
         assert!(active().is_empty());
     }
 }

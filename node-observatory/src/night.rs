@@ -9,6 +9,7 @@ use contract::observatory::{
     ActionNow, NightState, OrderTaken, Posture, RowState, ScheduleState, Trigger, TriggerKind,
 };
 use contract::{CommandId, Part};
+use node::StandingAlerts;
 use orders::RecentStates;
 use tokio::sync::watch;
 use units::Utc;
@@ -16,7 +17,7 @@ use units::Utc;
 use crate::authority::Authority;
 use crate::devices::Devices;
 use crate::devices::dome::Dome;
-use crate::expected::Overdue;
+use crate::expected::overdue;
 use crate::publishing::{LEAST, publish};
 use crate::tasks::Tasks;
 
@@ -184,7 +185,7 @@ async fn keep_publishing_night(
     let (mut open_s, mut looked) = (0.0, clock.sky());
     let mut was = Posture::Unknown;
     let (mut published_at, mut touched) = (None, true);
-    let mut overdue = Overdue::default();
+    let mut overdue_steps = StandingAlerts::default();
     loop {
         let posture = posture(&devices);
         let now = clock.sky();
@@ -198,7 +199,7 @@ async fn keep_publishing_night(
         touched |= was != posture;
         was = posture;
         let due = published_at.is_none_or(|at| clock.machine().since(at) >= SECOND - LEAST * 2);
-        overdue.look(tonight.borrow().actions.values(), clock.utc(), &authority.node.alerts);
+        overdue_steps.keep(overdue(tonight.borrow().actions.values(), clock.utc()), &authority.node.alerts);
         if (touched || due) && authority.is_publishing() {
             let published = tonight.borrow_and_update().clone();
             let robotic_now = *robotic.borrow();

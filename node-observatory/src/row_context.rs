@@ -115,15 +115,15 @@ impl RowContext {
     }
 
     /// Reports what the row does now, and how long that lasts.
-    pub fn step(&self, step: impl Into<String>, lasts: Lasts) {
+    pub fn step(&self, step: impl Into<String>, lasts: impl Into<Lasts>) {
         let step = step.into();
         tracing::info!(row = self.index, action = self.row.action.name(), step, "step");
         self.small_step(step, lasts);
     }
 
     /// As [`Self::step`], without a line in the diary: for what repeats with every frame.
-    pub fn small_step(&self, step: String, lasts: Lasts) {
-        let expected_by = self.tools.step_times.expected_by(lasts, self.row.action.name(), self.clock());
+    pub fn small_step(&self, step: String, lasts: impl Into<Lasts>) {
+        let expected_by = self.tools.step_times.expected_by(lasts.into(), self.row.action.name(), self.clock());
         self.tools.night.step(self.index, step, expected_by);
     }
 

@@ -123,3 +123,67 @@ impl NodeAlerts {
         });
     }
 }
+
+/// The alerts of a task that looks, again and again, at all that calls for one.
+#[derive(Debug, Default)]
+pub struct StandingAlerts {
+    causes: BTreeMap<(AlertKind, String), String>,
+}
+
+impl StandingAlerts {
+    /// These stand now, each with its kind, instance and cause: of one alert the first. Those that stood before and are not
+    /// among them are gone.
+    pub fn keep(&mut self, wanted: impl IntoIterator<Item = (AlertKind, String, String)>, alerts: &NodeAlerts) {
+        let mut causes = BTreeMap::new();
+        for (kind, instance, cause) in wanted {
+            causes.entry((kind, instance)).or_insert(cause);
+        }
+        for ((kind, instance), cause) in causes.iter().filter(|(alert, cause)| self.causes.get(alert) != Some(cause)) {
+            alerts.raise(*kind, instance, cause);
+        }
+        for (kind, instance) in self.causes.keys().filter(|alert| !causes.contains_key(alert)) {
+            alerts.clear(*kind, instance);
+        }
+        self.causes = causes;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn alerts_that_stand_take_their_new_causes_and_all_others_are_gone() {
+        let alerts = NodeAlerts::new(Clock::machine_clock());
+        let active = || -> Vec<(String, String)> {
+            let published = alerts.watch().borrow().alerts.clone();
+            let active = published.into_iter().filter(|alert| alert.returned_utc.is_none());
+            active.map(|alert| (alert.id, alert.cause)).collect()
+        };
+        let wanted = |of: &[(&str, &str)]| -> Vec<(AlertKind, String, String)> {
+            let owned = |(instance, cause): &(&str, &str)| {
+                (AlertKind::StepOverdue, (*instance).to_owned(), (*cause).to_owned())
+            };
+            of.iter().map(owned).collect()
+        };
+        let told = |of: &[(&str, &str)]| -> Vec<(String, String)> {
+            of.iter().map(|(instance, cause)| (format!("step-overdue/{instance}"), (*cause).to_owned())).collect()
+        };
+        let mut standing = StandingAlerts::default();
+        for (now, stands) in [
+            (
+                &[("a", "slewing"), ("b", "cooling"), ("a", "a second row")][..],
+                &[("a", "slewing"), ("b", "cooling")][..],
+            ),
+            (&[("a", "exposing"), ("b", "cooling")], &[("a", "exposing"), ("b", "cooling")]),
+            (&[("b", "cooling")], &[("b", "cooling")]),
+            (&[], &[]),
+            (&[("a", "exposing")], &[("a", "exposing")]),
+        ] {
+            standing.keep(wanted(now), &alerts);
+            let mut found = active();
+            found.sort();
+            assert_eq!(found, told(stands));
+        }
+    }
+}

@@ -38,7 +38,7 @@ mod stop;
 mod twin;
 pub mod watchdog;
 
-pub use alerts::NodeAlerts;
+pub use alerts::{NodeAlerts, StandingAlerts};
 pub use disk::free_gb;
 pub use host::host_name;
 pub use node::{Node, SUPERVISOR};

@@ -1,9 +1,12 @@
 //! A node that runs in the process of the test.
 
+use bus::Bus;
+use contract::NodeTopic;
+use contract::node::NodeState;
 use node::Node;
 use tokio::task::JoinHandle;
 
-use crate::wait::LIMIT;
+use crate::wait::{LIMIT, within};
 
 /// A node and its task.
 pub struct RunningNode {
@@ -20,6 +23,14 @@ impl RunningNode {
     {
         let task = tokio::spawn(node.clone().live(None, run(node.clone())));
         Self { node, task }
+    }
+
+    /// Waits until this web node serves its page: the page's address, without a slash at its end. `bus` may be any session.
+    pub async fn page_url(&self, bus: &Bus) -> String {
+        let states = bus.latest::<NodeState>(&self.node.key(NodeTopic::State)).await.unwrap();
+        let url = within(LIMIT, || Some(states.get()?.sample.body.figures.get("page_url")?.to_string())).await;
+        let url = url.expect("the node did not report its page's address");
+        url.trim_end_matches('/').to_owned()
     }
 
     /// Runs the work of a node alone. Its alerts begin and end in time.

@@ -12,5 +12,5 @@ mod writes_parquet;
 
 /// A clock that says 02:30 UTC, far from the noon at which a night of Paranal ends: no test meets the change of nights.
 fn in_the_night() -> bus::Clock {
-    bus::Clock::simulated(units::Utc::from_seconds(1_795_228_200.0), 1.0)
+    bus::Clock::simulated("2026-11-21T02:30:00Z".parse().unwrap(), 1.0)
 }

@@ -4,12 +4,12 @@ use imaging::focus::sweep::Plan;
 use schedule::action::Autofocus;
 use schedule::action::autofocus::search::Search;
 use schedule::action::parameters::FocusWanted;
+use schedule::plan::TimedPart;
 use schedule::wrong::Wrong;
 
 use super::{Execute, Techniques, read_out};
 use crate::action_error::ActionError;
 use crate::devices::focuser::Focuser;
-use crate::expected::Lasts;
 use crate::exposing::Series;
 use crate::focus::run::{FocusRequest, find};
 use crate::focus::{field, half_range, offset, publish_run};
@@ -17,7 +17,6 @@ use crate::opening;
 use crate::pointing;
 use crate::row_context::RowContext;
 use crate::slit::Aimed;
-use schedule::plan::TimedPart;
 
 impl Execute for Autofocus {
     async fn run(&self, context: &RowContext, techniques: &Techniques) -> Result<String, ActionError> {
@@ -39,17 +38,17 @@ impl Execute for Autofocus {
         let pointed = place.zip(chain.mount);
         let _aimed = pointed.map(|(place, mount)| Aimed::at(&context.tools.slits, mount, place));
         let point = async {
-            context.step("opening", Lasts::Part(TimedPart::Open));
+            context.step("opening", TimedPart::Open);
             opening::open(&techniques.opener, &chain).await?;
             if let (Some((place, mount)), Some(chosen)) = (pointed, &chosen) {
                 context.visible(&place)?;
-                context.step(format!("slewing to {}", chosen.words), Lasts::Part(TimedPart::Slew));
+                context.step(format!("slewing to {}", chosen.words), TimedPart::Slew);
                 pointing::send(context, &techniques.pointing, mount, &place).await?;
             }
             Ok(())
         };
         tokio::try_join!(point, context.filter_and_focus(self.filter.as_deref(), FocusWanted::default()))?;
-        context.step("cooling", Lasts::Part(TimedPart::Cool));
+        context.step("cooling", TimedPart::Cool);
         context.cool().await?;
 
         let series = Series {

@@ -9,6 +9,7 @@ use imaging::Star;
 use imaging::guide::Reference;
 use imaging::guide::calibration::pulses::{self, CalibrationRun, Next, Warning};
 use schedule::action::calibrate_guiding::{CalibrateGuiding, TOO_LATE, pier};
+use schedule::plan::TimedPart;
 use schedule::shot::{Shot, fits};
 use sky::Icrs;
 use units::seconds;
@@ -24,7 +25,6 @@ use crate::guiding::{GuidingData, guide_rates, pulse};
 use crate::opening;
 use crate::row_context::RowContext;
 use crate::slit::Aimed;
-use schedule::plan::TimedPart;
 
 /// A frame is fetched and measured within this, machine time.
 const MEASURED_WITHIN: Duration = Duration::from_secs(60);
@@ -48,13 +48,13 @@ impl Execute for CalibrateGuiding {
         let target = self.target(&context.observer(context.clock().utc())?).map_err(ActionError::Impossible)?;
         let _aimed = Aimed::at(&context.tools.slits, mount, target);
         let point = async {
-            context.step("opening", Lasts::Part(TimedPart::Open));
+            context.step("opening", TimedPart::Open);
             opening::open(&techniques.opener, &chain).await?;
-            context.step("slewing", Lasts::Part(TimedPart::Slew));
+            context.step("slewing", TimedPart::Slew);
             mount.point(&target, &context.observer(context.clock().utc())?).await
         };
         tokio::try_join!(point, context.filter_and_focus(self.filter.as_deref(), self.defocus.wanted()))?;
-        context.step("cooling", Lasts::Part(TimedPart::Cool));
+        context.step("cooling", TimedPart::Cool);
         context.cool().await?;
         let series = Series {
             action: None,
@@ -68,7 +68,7 @@ impl Execute for CalibrateGuiding {
             open_sky: true,
             metadata: self.metadata.texts(),
         };
-        context.step("calibrating", Lasts::Open);
+        context.step("calibrating", Lasts::Unbounded);
         let report = step(self, context, &techniques.guiding, &series, mount, &target).await?;
         context.leave_mount();
         Ok(report)
@@ -146,7 +146,7 @@ async fn step(
             Ended::Turned(why) if again < TURNS => {
                 again += 1;
                 tracing::info!(mount = %mount.instrument.device.name, why, "the calibration begins anew");
-                context.step(format!("calibrating anew: {why}"), Lasts::Open);
+                context.step(format!("calibrating anew: {why}"), Lasts::Unbounded);
                 still(context, mount).await?;
             }
             Ended::Turned(why) => return Err(failed(mount, why)),

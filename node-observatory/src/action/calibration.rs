@@ -2,17 +2,16 @@
 
 use schedule::action::Calibration;
 use schedule::action::parameters::FocusWanted;
+use schedule::plan::TimedPart;
 
 use super::{Execute, Techniques, read_out};
 use crate::action_error::ActionError;
-use crate::expected::Lasts;
 use crate::exposing::{Series, expose};
 use crate::row_context::RowContext;
-use schedule::plan::TimedPart;
 
 impl Execute for Calibration {
     async fn run(&self, context: &RowContext, _: &Techniques) -> Result<String, ActionError> {
-        context.step("cooling, filter and focus", Lasts::Part(TimedPart::Cool));
+        context.step("cooling, filter and focus", TimedPart::Cool);
         let ready = context.filter_and_focus(self.filter.as_deref(), FocusWanted::default());
         tokio::try_join!(context.cool(), ready)?;
         let series = Series {

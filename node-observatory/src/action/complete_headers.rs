@@ -22,7 +22,7 @@ impl Execute for CompleteHeaders {
         let mut asked = None;
         loop {
             let (complete, all) = frames.borrow_and_update().complete(&night);
-            context.small_step(format!("{complete} of {all} headers complete"), Lasts::Open);
+            context.small_step(format!("{complete} of {all} headers complete"), Lasts::Unbounded);
             if complete == all {
                 return Ok(format!("{all} headers complete"));
             }

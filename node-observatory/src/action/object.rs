@@ -2,13 +2,13 @@
 
 use schedule::action::{Object, Parameters as _};
 use schedule::names::Found;
+use schedule::plan::TimedPart;
 use sky::{Body, Horizontal, Icrs};
 use units::Utc;
 
 use super::{Execute, Techniques, read_out};
 use crate::action_error::ActionError;
 use crate::devices::telescope::Mount;
-use crate::expected::Lasts;
 use crate::exposing::{Series, adopt};
 use crate::focus::expose_in_focus;
 use crate::guiding;
@@ -17,7 +17,6 @@ use crate::opening;
 use crate::pointing::{self, Acquisition, Flip, Gate};
 use crate::row_context::RowContext;
 use crate::slit::Aimed;
-use schedule::plan::TimedPart;
 
 /// A mount that leaves its place so often, with no frame in between that counts, is a fault of the mount.
 const LOSSES: u32 = 3;
@@ -53,15 +52,15 @@ impl Execute for Object {
             if body.is_some() {
                 moving::can_follow(mount).await?;
             }
-            context.step("opening", Lasts::Part(TimedPart::Open));
+            context.step("opening", TimedPart::Open);
             opening::open(&techniques.opener, &chain).await?;
-            context.step("slewing", Lasts::Part(TimedPart::Slew));
+            context.step("slewing", TimedPart::Slew);
             let commanded = pointing::send(context, &techniques.pointing, mount, &target).await?;
             Ok(Some((mount, Acquisition::begun(context, target, commanded, self.exptime))))
         };
         let (way, ()) =
             tokio::try_join!(point, context.filter_and_focus(self.filter.as_deref(), self.defocus.wanted()))?;
-        context.step("cooling", Lasts::Part(TimedPart::Cool));
+        context.step("cooling", TimedPart::Cool);
         context.cool().await?;
 
         let series = Series {
@@ -217,7 +216,7 @@ async fn proven(
             return Ok(taken);
         }
         if flip.is_due(&target, object.exptime, now) {
-            context.step("meridian flip", Lasts::Part(TimedPart::Slew));
+            context.step("meridian flip", TimedPart::Slew);
             let side = flip.side();
             way.commanded = pointing::send(context, &techniques.pointing, mount, &target).await?;
             way.is_fresh = true;
@@ -241,7 +240,7 @@ async fn proven(
             // It may stand and say that it tracks.
             mount.track_anew().await;
         }
-        context.step(format!("back to the target: {why}"), Lasts::Part(TimedPart::Slew));
+        context.step(format!("back to the target: {why}"), TimedPart::Slew);
         if gate.is_proven() {
             way.renew(context);
         }

@@ -1,13 +1,12 @@
 //! `open`: opens roof and covers, takes the mount out of its park position, and starts the cooler.
 
 use schedule::action::Open;
+use schedule::plan::TimedPart;
 
 use super::{Execute, Techniques};
 use crate::action_error::ActionError;
-use crate::expected::Lasts;
 use crate::opening;
 use crate::row_context::RowContext;
-use schedule::plan::TimedPart;
 
 impl Execute for Open {
     async fn run(&self, context: &RowContext, techniques: &Techniques) -> Result<String, ActionError> {
@@ -16,7 +15,7 @@ impl Execute for Open {
             // The rows that need a cold camera will report the failure.
             tracing::warn!(%error, "the cooler was not started");
         }
-        context.step("opening", Lasts::Part(TimedPart::Open));
+        context.step("opening", TimedPart::Open);
         opening::open(&techniques.opener, &chain).await?;
         Ok(String::new())
     }

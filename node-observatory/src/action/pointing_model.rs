@@ -1,6 +1,7 @@
 //! `pointing_model`: learns over the whole sky how the telescope misses where it is sent.
 
 use schedule::action::PointingModel;
+use schedule::plan::TimedPart;
 use schedule::pointing_grid;
 use schedule::shot::{Shot, fits};
 use sky::Icrs;
@@ -8,13 +9,11 @@ use sky::Icrs;
 use super::{Execute, Techniques, dark, read_out};
 use crate::action_error::ActionError;
 use crate::devices::telescope::Mount;
-use crate::expected::Lasts;
 use crate::exposing::{Series, expose};
 use crate::opening;
 use crate::pointing::{PointingData, calm, forget, learn, look, seen, send, sensor_looks_at};
 use crate::row_context::RowContext;
 use crate::slit::Aimed;
-use schedule::plan::TimedPart;
 
 impl Execute for PointingModel {
     async fn run(&self, context: &RowContext, techniques: &Techniques) -> Result<String, ActionError> {
@@ -22,10 +21,10 @@ impl Execute for PointingModel {
         let mount =
             chain.mount.ok_or_else(|| ActionError::Impossible(format!("{} has no mount", context.row.camera)))?;
         chain.camera.start_cooling().await?;
-        context.step("opening", Lasts::Part(TimedPart::Open));
+        context.step("opening", TimedPart::Open);
         let open = opening::open(&techniques.opener, &chain);
         tokio::try_join!(open, context.filter_and_focus(self.filter.as_deref(), self.defocus.wanted()))?;
-        context.step("cooling", Lasts::Part(TimedPart::Cool));
+        context.step("cooling", TimedPart::Cool);
         context.cool().await?;
         let series = series(self, context).await?;
         let dark = match self.dark_subtraction {

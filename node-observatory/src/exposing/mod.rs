@@ -125,8 +125,7 @@ pub async fn aside(context: &RowContext, series: &Series, shot: &Shot, action: &
 /// Waits until the sky can be seen, where that is wanted; the frame is under way from then on.
 async fn ready(context: &RowContext, series: &Series, shot: &Shot, frame: &CommandId) -> Result<(), ActionError> {
     if series.open_sky {
-        let began =
-            |why: &str| context.step(format!("waiting for the dome's slit: {why}"), Lasts::Part(TimedPart::Slit));
+        let began = |why: &str| context.step(format!("waiting for the dome's slit: {why}"), TimedPart::Slit);
         let ended = |since: Utc| context.took(TimedPart::Slit, since);
         slit::wait_until_clear(&context.tools.slits, context.chain()?.mount, shot.exposure_s, began, ended).await?;
         roof_is_open(context)?;
@@ -147,7 +146,7 @@ async fn nodes_are_fit(context: &RowContext) {
         let why = verdict.borrow_and_update().unfit_nodes();
         let Some(why) = why else { return };
         if !waits {
-            context.step(format!("waiting before the next frame: {why}"), Lasts::Open);
+            context.step(format!("waiting before the next frame: {why}"), Lasts::Unbounded);
             waits = true;
         }
         // The safety loop ends only with this node.

@@ -5,6 +5,7 @@ use contract::device::dome::Shutter;
 use schedule::flats::exposure::{Light, Want};
 use schedule::flats::filter::{GOOD_S, WINDOW_ENDED, to_ms};
 use schedule::flats::order::{Candidate, Next, Order, Trend, next};
+use schedule::plan::TimedPart;
 use schedule::shot::fits;
 
 use super::run::FlatsRun;
@@ -12,7 +13,6 @@ use crate::action_error::ActionError;
 use crate::devices::cover_calibrator::Cover;
 use crate::expected::Lasts;
 use crate::row_context::{FoundPanel, RowContext};
-use schedule::plan::TimedPart;
 
 /// Changes of the brightness for one filter, at most.
 const CHANGES: u32 = 4;
@@ -90,7 +90,7 @@ async fn begin(context: &RowContext, brightness: Option<i64>) -> Result<(&Cover,
     }
     context.set_panel(Some(FoundPanel { was_open: cover.cover() == Some(Shut::Open) }));
     if can.cover {
-        context.step("closing the cover", Lasts::Part(TimedPart::Close));
+        context.step("closing the cover", TimedPart::Close);
         cover.close().await?;
     } else if context.tools.devices.domes.iter().any(|dome| dome.shutter() != Some(Shutter::Closed)) {
         return impossible(format!("{device} has no cover, and the dome is not closed: the sky would shine in"));

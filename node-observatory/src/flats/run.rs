@@ -94,7 +94,7 @@ impl<'a> FlatsRun<'a> {
         if run.is_done() {
             return Ok(run);
         }
-        context.step("cooling", Lasts::Part(TimedPart::Cool));
+        context.step("cooling", TimedPart::Cool);
         context.cool().await?;
         if config.bias_adu.is_none() {
             run.want.bias_adu = run.bias_adu().await?;
@@ -246,7 +246,7 @@ impl<'a> FlatsRun<'a> {
     /// Takes no more of a filter.
     pub fn give_up(&mut self, index: usize, why: &'static str) {
         if let Some(filter) = self.request.filters.get_mut(index) {
-            self.context.step(format!("no flats of {} any more: {why}", filter.words()), Lasts::Open);
+            self.context.step(format!("no flats of {} any more: {why}", filter.words()), Lasts::Unbounded);
             filter.given_up = Some(why);
         }
     }

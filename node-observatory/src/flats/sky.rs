@@ -5,6 +5,7 @@ use schedule::flats::exposure::Light;
 use schedule::flats::filter::{AHEAD_S, WINDOW_ENDED, to_ms};
 use schedule::flats::order::{Next, Trend, next};
 use schedule::flats::twilight::{Window, antisolar, dithered, is_clear_of_sun, slope_per_s};
+use schedule::plan::TimedPart;
 use schedule::shot::fits;
 use units::seconds;
 
@@ -15,7 +16,6 @@ use crate::expected::Lasts;
 use crate::opening::{self, Opener};
 use crate::row_context::RowContext;
 use crate::slit::Aimed;
-use schedule::plan::TimedPart;
 
 /// The place opposite to the Sun is gone to again when it is further off than this, deg.
 const ASTRAY_DEG: f64 = 10.0;
@@ -154,9 +154,9 @@ impl<'a> FlatsAim<'a> {
         let aimed = Some(Aimed::at(&context.tools.slits, mount, base));
         let index = context.tools.journal.progress(&context.row.id).taken;
         let aim = Self { context, mount, base, index, step_arcsec, aimed };
-        context.step("opening", Lasts::Part(TimedPart::Open));
+        context.step("opening", TimedPart::Open);
         opening::open(opener, &chain).await?;
-        context.step("slewing away from the Sun", Lasts::Part(TimedPart::Slew));
+        context.step("slewing away from the Sun", TimedPart::Slew);
         aim.go().await?;
         Ok(aim)
     }

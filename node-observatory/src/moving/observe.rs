@@ -1,5 +1,6 @@
 //! Brings a telescope onto a body that moves, and takes the frames of the row while it goes along.
 
+use schedule::plan::TimedPart;
 use std::time::Duration;
 
 use schedule::shot::Shot;
@@ -15,7 +16,6 @@ use crate::exposing::Series;
 use crate::focus::{FocusData, expose_in_focus};
 use crate::pointing::{self, Flip, PointingData};
 use crate::row_context::RowContext;
-use schedule::plan::TimedPart;
 
 /// A body that has moved less than this during a slew is still met, arcsec.
 const MET_ARCSEC: f64 = 1.0;
@@ -95,12 +95,12 @@ pub async fn observe(
             let now = clock.utc();
             let Some(following) = shot(taken, now, end) else { break 'recenter taken };
             if flip.is_due(&here, following.exposure_s, now) {
-                context.step("meridian flip", Lasts::Part(TimedPart::Slew));
+                context.step("meridian flip", TimedPart::Slew);
                 turned_from = flip.side();
                 break;
             }
             if is_due(now) {
-                context.step("back to the moving target", Lasts::Part(TimedPart::Slew));
+                context.step("back to the moving target", TimedPart::Slew);
                 break;
             }
         }
@@ -127,7 +127,7 @@ async fn meet(
         let began = clock.utc();
         let meeting = began.plus_seconds(lead_s);
         let place = path.icrs(meeting)?;
-        context.step("slewing to the moving target", Lasts::Part(TimedPart::Slew));
+        context.step("slewing to the moving target", TimedPart::Slew);
         send(context, pointing, mount, &place, request.correction).await?;
         // A mount that tracks the place of date holds what it was sent at the time of the slew.
         let arrived = clock.utc();

@@ -147,7 +147,7 @@ async fn frames(
                     PointingStep::Slew(to) => {
                         last = format!("it looks {off_arcmin:.2} arcmin off the target");
                         if way.frames_left > 0 {
-                            context.step(format!("correcting by {off_arcmin:.2} arcmin"), Lasts::Part(TimedPart::Slew));
+                            context.step(format!("correcting by {off_arcmin:.2} arcmin"), TimedPart::Slew);
                             let to = icrs(to);
                             mount.point(&to, &context.visible(&to)?).await?;
                             calm(context, mount, way.exptime_s).await;

@@ -9,13 +9,12 @@ use bus::{Bus, Clock};
 use contract::archive::{ArchiveAnswer, ArchiveQuestion, Ask};
 use contract::device::camera::Frame;
 use contract::frame_search::{FrameSearch, SkyPlace};
-use contract::node::NodeState;
 use contract::observatory::{FrameFacts, FrameWcs};
-use contract::{BootId, CommandId, Key, NodeTopic, Role};
+use contract::{BootId, CommandId, Key, Role};
 use node::{Node, NodeAlerts};
 use node_archive::database::{Database, StoredFacts, StoredImage, Write as Stored};
 use serde_json::{Value, json};
-use test_support::{LIMIT, PARANAL, RunningNode, join, private_bus, within};
+use test_support::{PARANAL, RunningNode, join, private_bus};
 use units::Utc;
 
 use crate::command::{Output, starmesh};
@@ -136,13 +135,11 @@ impl Site {
         drop(database);
         writer.end().await;
         let bus = private_bus(Clock::machine_clock()).await;
-        let key = Key::Node(config.address(), Role::Web, "main".parse().unwrap(), NodeTopic::State);
         let node = |role, bus| Node::new(role, "main".parse().unwrap(), config.clone(), Default::default(), bus);
         let archive = RunningNode::live(node(Role::Archive, join(&bus).await), node_archive::run);
         let web = RunningNode::live(node(Role::Web, join(&bus).await), node_web::run);
-        let states = bus.latest::<NodeState>(&key).await.unwrap();
-        let url = within(LIMIT, || Some(states.get()?.sample.body.figures.get("page_url")?.to_string())).await.unwrap();
-        Self { folder, bus, url: url.trim_end_matches('/').to_owned(), nodes: [archive, web] }
+        let url = web.page_url(&bus).await;
+        Self { folder, bus, url, nodes: [archive, web] }
     }
 
     async fn on_the_bus(&self, question: &Question) -> Vec<Value> {

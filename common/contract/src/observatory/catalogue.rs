@@ -19,8 +19,8 @@ catalogue! {
     /// after twice as long; the other rows go on. What `[faults] policy` says of the kind of device is done.
     RowPostponed: devices::ROW_POSTPONED,
     /// A step of a row (a slew, cooling, a frame) is silent for longer than such steps take: twice as long as the archive's
-    /// telemetry of earlier nights says, or four times as long as is assumed without one, and three minutes. It ends with
-    /// the next step, or with the row.
+    /// telemetry of earlier nights says, or four times as long as is assumed without one, and `faults.overdue_s`. It ends
+    /// with the next step, or with the row.
     StepOverdue: devices::STEP_OVERDUE,
     /// The disk of a node's folder is almost full (`safety.disk_free_min_gb`). While it is the data folder of a device
     /// or observatory node, nothing is exposed: the last room is for the journal and for frames that are under way.

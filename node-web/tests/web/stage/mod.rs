@@ -8,11 +8,10 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use bus::{Bus, Clock};
-use contract::node::NodeState;
-use contract::{Address, Key, NodeTopic, Payload, Role};
+use contract::{Address, Key, Payload, Role};
 use node::Node;
 use serde_json::Value;
-use test_support::{LIMIT, PARANAL, RunningNode, block, join, private_bus, within};
+use test_support::{LIMIT, PARANAL, RunningNode, block, join, private_bus};
 use tokio::sync::watch;
 
 pub struct Stage {
@@ -30,11 +29,8 @@ impl Stage {
     /// With more lines in `[web]`; its files are in `folder`.
     pub async fn start_with(web: &str, folder: &Path) -> Self {
         let (bus, node) = Self::begin(web, folder).await;
-        let key = node.node.key(NodeTopic::State);
-        let states = bus.latest::<NodeState>(&key).await.unwrap();
-        let url = within(LIMIT, || Some(states.get()?.sample.body.figures.get("page_url")?.to_string())).await;
-        let url = url.unwrap_or_else(|| panic!("the node did not report its page's address"));
-        Self { bus, url: url.trim_end_matches('/').to_owned(), http: reqwest::Client::new(), node }
+        let url = node.page_url(&bus).await;
+        Self { bus, url, http: reqwest::Client::new(), node }
     }
 
     /// The node alone, which may have reasons not to serve.
