@@ -108,18 +108,15 @@ pub enum ActionError {
 }
 
 impl ActionError {
-    /// The kind of device that is at fault, where one is (`site/telescope/kind/name`).
-    pub fn kind(&self) -> Option<Kind> {
+    /// The device that is at fault, where one is (`site/telescope/kind/name`).
+    pub fn device(&self) -> Option<&str> {
         match self {
             Self::Refused { device, .. }
             | Self::Unanswered { device, .. }
             | Self::Failed { device, .. }
             | Self::Deadline { device, .. }
             | Self::Restarted { device }
-            | Self::Cooling { device, .. } => {
-                let named = device.split('/').nth(2)?;
-                Kind::ALL.iter().copied().find(|kind| kind.to_string() == named)
-            }
+            | Self::Cooling { device, .. } => Some(device),
             Self::Impossible(_)
             | Self::NotSafe(_)
             | Self::Unproven { .. }
@@ -128,6 +125,20 @@ impl ActionError {
             | Self::Hidden { .. } => None,
             Self::Sky(_) | Self::Journal(_) => None,
         }
+    }
+
+    /// Its kind.
+    pub fn kind(&self) -> Option<Kind> {
+        let named = self.device()?.split('/').nth(2)?;
+        Kind::ALL.iter().copied().find(|kind| kind.to_string() == named)
+    }
+
+    /// Did the device, or its node, say nothing at all?
+    pub fn is_silence(&self) -> bool {
+        matches!(
+            self,
+            Self::Unanswered { .. } | Self::Restarted { .. } | Self::Refused { reason: Reason::NotConnected, .. }
+        )
     }
 
     /// May the same step succeed a little later?

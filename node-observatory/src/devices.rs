@@ -147,6 +147,19 @@ impl Devices {
         }
     }
 
+    /// Is what this device (`site/telescope/kind/name`) published last still true? False for one that it does not move.
+    pub fn is_heard(&self, device: &str) -> bool {
+        fn has<K: DeviceKind>(instrument: &Instrument<K>, device: &str) -> bool {
+            instrument.device.to_string() == device && instrument.fresh().is_some()
+        }
+        self.domes.iter().any(|dome| has(&dome.instrument, device))
+            || self.mounts.iter().any(|mount| has(&mount.instrument, device))
+            || self.covers.iter().any(|cover| has(&cover.instrument, device))
+            || self.cameras.iter().any(|camera| has(&camera.instrument, device))
+            || self.wheels.iter().any(|wheel| has(&wheel.instrument, device))
+            || self.focusers.iter().any(|focuser| has(&focuser.instrument, device))
+    }
+
     fn watch_what_must_close(&mut self) {
         let (stir, stirred) = watch::channel(0);
         let stir = std::sync::Arc::new(stir);

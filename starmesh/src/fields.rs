@@ -35,7 +35,7 @@ const fn crowded(name: &'static str, ra_deg: f64, dec_deg: f64) -> NamedField {
 }
 
 /// Where nothing is known of a place.
-pub const M_42: NamedField = crowded("M 42", 83.818667, -5.389667);
+pub const M_78: NamedField = sparse("M 78", 86.690917, 0.079306);
 
 /// All of them.
 pub const FIELDS: [NamedField; 24] = [
@@ -44,13 +44,13 @@ pub const FIELDS: [NamedField; 24] = [
     sparse("NGC 253", 11.888, -25.288222),
     star("WASP-18", 24.354298, -45.677874, 5.0),
     star("WASP-33", 36.712744, 37.550484, 2.0),
-    sparse("Pleiades", 56.869167, 24.105278),
     star("WASP-79", 66.370903, -30.600439, 10.0),
-    M_42,
-    crowded("NGC 2244", 97.9815, 4.942944),
+    sparse("NGC 1647", 71.481542, 19.095111),
+    M_78,
     star("WASP-121", 107.600243, -39.097374, 15.0),
+    crowded("NGC 2360", 109.429667, -15.641306),
     crowded("NGC 2516", 119.529417, -60.753472),
-    sparse("Praesepe", 130.0925, 19.672056),
+    crowded("NGC 2506", 120.007417, -10.769639),
     star("WASP-166", 144.875351, -20.982468, 5.0),
     crowded("Eta Carinae", 161.285542, -59.866694),
     sparse("M 104", 189.997625, -11.623056),
@@ -84,5 +84,21 @@ mod tests {
             count += 1;
         }
         assert_eq!(count, 7);
+    }
+
+    /// `target-saturated` would be told of a field that is an example to copy.
+    #[test]
+    fn no_star_where_a_field_points_saturates_in_its_exposure() {
+        let mut too_long = Vec::new();
+        for field in FIELDS {
+            let [ra, dec, radius] = [field.ra_deg, field.dec_deg, 40.0 / 3600.0].map(Angle::from_degrees);
+            for star in catalogue::shipped().cone(ra, dec, radius, 14.0, 2026.9) {
+                // A star of 10.5 mag saturates in some 20 s.
+                if field.exptime_s > 20.0 * 10.0_f64.powf(0.4 * (star.mag - 10.5)) {
+                    too_long.push((field.name, field.exptime_s, star.mag));
+                }
+            }
+        }
+        assert!(too_long.is_empty(), "{too_long:?}");
     }
 }

@@ -169,10 +169,13 @@ fn names(observatory: &Observatory, findings: &mut Findings<'_>) {
 /// What stands at a shared device and is decided by each telescope: who writes it here would believe that it protects.
 fn decided_elsewhere(observatory: &Observatory, findings: &mut Findings<'_>) {
     let mut ignored = |path: &str, shown: &str, key: &str| {
-        let what = format!(
-            "{shown}{key} has no effect in the file of the shared devices: each telescope decides by {key} in [shared] of its \
-             own file; write it there"
-        );
+        let instead = match key {
+            "disabled" => {
+                "each telescope goes on to use it, until it is taken out of [shared] of its own file".to_owned()
+            }
+            _ => format!("each telescope decides by {key} in [shared] of its own file; write it there"),
+        };
+        let what = format!("{shown}{key} has no effect in the file of the shared devices: {instead}");
         findings.warning(&format!("{path}.{key}"), what);
     };
     for (path, shown, station) in blocks(&observatory.observingconditions) {
@@ -186,6 +189,9 @@ fn decided_elsewhere(observatory: &Observatory, findings: &mut Findings<'_>) {
         }
         if monitor.max_age_s.is_some() {
             ignored(&path, &shown, "max_age_s");
+        }
+        if monitor.disabled.is_some() {
+            ignored(&path, &shown, "disabled");
         }
     }
 }

@@ -78,7 +78,8 @@ fn what_each_telescope_decides_has_no_effect_at_a_shared_device_and_is_warned_of
     let shared = "[observatory]\nsite = \"paranal\"\ntelescope = \"shared\"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n\
                   elevation_m = 2518\n[[observingconditions]]\nname = \"wx\"\nserver = \"10.0.0.5:11111\"\nnumber = 0\n\
                   limit = [{ parameter = \"WindSpeed\", upper = 12.0 }]\n[[safetymonitor]]\nname = \"cloud\"\n\
-                  server = \"10.0.0.5:11111\"\nnumber = 0\ndwell_min = 30\nmax_age_s = 20\n";
+                  server = \"10.0.0.5:11111\"\nnumber = 0\ndwell_min = 30\nmax_age_s = 20\n\
+                  disabled = \"its head is wet\"\n";
     let (values, faults) = config::examine(shared, Path::new("/site"));
     assert!(values.is_some(), "{faults:?}");
     let warned: Vec<(usize, bool)> = faults
@@ -86,10 +87,10 @@ fn what_each_telescope_decides_has_no_effect_at_a_shared_device_and_is_warned_of
         .filter(|fault| fault.severity == Severity::Warning)
         .map(|fault| (fault.line, fault.what.contains("[shared] of its own file")))
         .collect();
-    assert_eq!(warned, [(11, true), (16, true), (17, true)], "{faults:#?}");
+    assert_eq!(warned, [(11, true), (16, true), (17, true), (18, true)], "{faults:#?}");
     let (_, faults) =
         config::examine(&shared.replace("limit =", "# limit =").replace("= 30", "= 15"), Path::new("/site"));
-    assert_eq!(faults.len(), 1, "{faults:#?}");
+    assert_eq!(faults.len(), 2, "{faults:#?}");
 }
 
 #[test]

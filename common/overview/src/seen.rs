@@ -199,10 +199,10 @@ mod tests {
             ),
             ("about to begin row 2, object M42", night(true), safe(), due.to_vec()),
             (
-                "row 2, object M42 waits: tried again in 60 s",
+                "row 2, object M42 waits: tried again at 02:10:00",
                 night(true),
                 safe(),
-                vec![row(BEFORE, "interrupted", "tried again in 60 s")],
+                vec![row(BEFORE, "interrupted", "tried again at 02:10:00")],
             ),
             // It rained; now it is humid, and then nothing stands against the row any more.
             (

@@ -106,7 +106,7 @@ impl Sequence {
 /// The text for a row whose window has passed, with the frames that it took.
 pub fn passed_words(status: RowStatus, taken: u32) -> String {
     match (status, taken) {
-        (RowStatus::Interrupted, taken) => format!("interrupted; its window closed after {taken} frames"),
+        (RowStatus::Interrupted, taken) => format!("its window closed before it could go on, after {taken} frames"),
         (_, 0) => "its window passed".to_owned(),
         (_, taken) => format!("its window closed after {taken} frames"),
     }

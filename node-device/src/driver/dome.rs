@@ -279,8 +279,8 @@ impl Driver for Dome {
             }
             Command::Park => Progress::done_if(fields.at_park.known() == Some(&true)),
             Command::SlewToAzimuth { azimuth_deg } => match fields.azimuth_deg.known() {
-                Some(azimuth) if still => turned(*azimuth, *azimuth_deg, self.tolerance_deg),
-                Some(_) | None => Progress::Running,
+                Some(azimuth) => turned(*azimuth, *azimuth_deg, self.tolerance_deg, still),
+                None => Progress::Running,
             },
             Command::Slave { on } => Progress::done_if(fields.slaved.known() == Some(on)),
             Command::Vendor(_) => Progress::Failed(vendor::UNANSWERED.to_owned()),
@@ -289,14 +289,22 @@ impl Driver for Dome {
     }
 }
 
-/// How far a turn is of a dome that rests.
-fn turned(azimuth_deg: f64, asked_deg: f64, tolerance_deg: f64) -> Progress {
+/// How far a turn is, of a dome that does not say that it turns where it is `still`.
+fn turned(azimuth_deg: f64, asked_deg: f64, tolerance_deg: f64, still: bool) -> Progress {
     let off_deg = apart_deg(azimuth_deg, asked_deg);
     match off_deg {
+        off if !still => {
+            if off <= tolerance_deg {
+                Progress::SaysItMoves
+            } else {
+                Progress::Running
+            }
+        }
         off if off < THERE_DEG.min(tolerance_deg) => Progress::Done,
         off if off <= tolerance_deg => Progress::Settling(RESTS_S),
-        off => {
-            Progress::Stranded(format!("it rests at azimuth {azimuth_deg:.1} deg, {off:.1} deg from {asked_deg:.1}"))
-        }
+        off => Progress::Stranded {
+            off: off / tolerance_deg,
+            why: format!("it rests at azimuth {azimuth_deg:.1} deg, {off:.1} deg from {asked_deg:.1}"),
+        },
     }
 }

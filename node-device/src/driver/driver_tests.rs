@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use bus::Clock;
-use contract::DeviceKind as _;
+use contract::{DeviceKind as _, NoData};
 use serde_json::{Value, json};
 use units::Utc;
 
@@ -26,9 +26,15 @@ fn focuser(tolerance_steps: i64) -> Focuser {
 fn fields<D: Driver>(driver: &D, answers: &Value) -> Fields<D> {
     let mut readings = Readings::default();
     for (property, answer) in answers.as_object().unwrap() {
-        readings.keep(property, Ok(answer.clone()), Utc::EPOCH);
+        let refused = answer.get("ascom").map(|number| NoData::new(&format!("ascom {number}"), "not implemented"));
+        readings.keep(property, refused.map_or_else(|| Ok(answer.clone()), Err), Utc::EPOCH);
     }
     driver.fields(&readings)
+}
+
+/// In place of an answer: the driver refuses to give it.
+fn ascom_error() -> Value {
+    json!({"ascom": 1024})
 }
 
 fn command<D: Driver>(command: &Value) -> Command<D> {
@@ -178,34 +184,45 @@ fn a_camera_exposes_only_what_its_sensor_has() {
 
 #[test]
 fn a_move_is_done_when_the_device_is_seen_to_rest_where_it_was_sent() {
-    use Progress::{Done, Failed, Running, Settling, Stranded};
-    let stranded = |why: &str| Stranded(why.to_owned());
+    use Progress::{Done, Failed, Running, SaysItMoves, Settling, Stranded};
+    let stranded = |off: f64, why: &str| Stranded { off, why: why.to_owned() };
     let at = |position: Value, moving: Value| json!({"Position": position, "IsMoving": moving});
     let rows = [
         (at(json!(500), json!(false)), Settling(2.0)),
         (at(json!("500"), json!("False")), Settling(2.0)),
-        (at(json!(500), json!(true)), Running),
-        (at(json!(499), json!(false)), stranded("it rests at 499, 1 steps from 500 (tolerance_steps = 0)")),
+        (at(json!(500), json!(true)), SaysItMoves),
+        (at(json!(499), json!(true)), Running),
+        (at(json!(499), json!(false)), stranded(1.0, "it rests at 499, 1 steps from 500 (tolerance_steps = 0)")),
         (at(json!(500), json!("perhaps")), Running),
         (at(json!(null), json!(false)), Running),
     ];
     check_progress(&focuser(0), json!({"move": {"position": 500}}), &rows);
     let rows = [
         (at(json!(495), json!(false)), Settling(3.0)),
-        (at(json!(505), json!(true)), Running),
-        (at(json!(494), json!(false)), stranded("it rests at 494, 6 steps from 500 (tolerance_steps = 5)")),
+        (at(json!(505), json!(true)), SaysItMoves),
+        (at(json!(506), json!(true)), Running),
+        (at(json!(494), json!(false)), stranded(1.2, "it rests at 494, 6 steps from 500 (tolerance_steps = 5)")),
     ];
     check_progress(&focuser(5), json!({"move": {"position": 500}}), &rows);
     let rows = [(at(json!(7), json!(false)), Done), (at(json!(7), json!(true)), Running), (json!({}), Running)];
     check_progress(&focuser(0), json!("abort"), &rows);
     check_progress(&Rotator::new(0.1), json!("abort"), &rows);
 
+    // Its driver refuses to say whether it moves: the position shows it, some seconds later.
+    let refused = [(at(json!(500), ascom_error()), Settling(12.0)), (at(json!(501), ascom_error()), Running)];
+    check_progress(&focuser(0), json!({"move": {"position": 500}}), &refused);
+    check_progress(&focuser(0), json!("abort"), &[(at(json!(7), ascom_error()), Settling(10.0))]);
+
     let rows = [
         (at(json!(359.995), json!(false)), Done),
         (at(json!(359.95), json!(false)), Settling(3.0)),
         (at(json!(0.05), json!(0)), Settling(3.0)),
-        (at(json!(0.2), json!(false)), stranded("it rests at 0.20 deg, 0.20 deg from 360.00 (tolerance_deg = 0.1)")),
-        (at(json!(359.95), json!(true)), Running),
+        (
+            at(json!(0.25), json!(false)),
+            stranded(2.5, "it rests at 0.25 deg, 0.25 deg from 360.00 (tolerance_deg = 0.1)"),
+        ),
+        (at(json!(359.95), json!(true)), SaysItMoves),
+        (at(json!(359.995), ascom_error()), Settling(10.0)),
         (at(json!("NaN"), json!(false)), Running),
     ];
     check_progress(&Rotator::new(0.1), json!({"move": {"position_deg": 360.0}}), &rows);
@@ -213,7 +230,7 @@ fn a_move_is_done_when_the_device_is_seen_to_rest_where_it_was_sent() {
     let positions = |[there, turning, other]: [Progress; 3]| {
         [(json!({"Position": 1}), there), (json!({"Position": -1}), turning), (json!({"Position": 0}), other)]
     };
-    let rows = positions([Done, Running, stranded("it rests at position 0, not at 1")]);
+    let rows = positions([Done, Running, stranded(-1.0, "it rests at position 0, not at 1")]);
     check_progress(&FilterWheel::default(), json!({"turn": {"position": 1}}), &rows);
 
     let failed = |what: &str| Failed(format!("the {what} is in error"));
@@ -237,17 +254,21 @@ fn a_move_is_done_when_the_device_is_seen_to_rest_where_it_was_sent() {
 
 #[test]
 fn a_mount_has_arrived_when_it_rests_near_its_target_on_the_sky() {
-    use Progress::{Done, Running, Settling, Stranded};
-    let stranded =
-        |deg: &str| Stranded(format!("it rests {deg} deg from where it was sent (arrival_tolerance_deg = 0.5)"));
+    use Progress::{Done, Running, SaysItMoves, Settling, Stranded};
+    let stranded = |off: f64, deg: &str| Stranded {
+        off,
+        why: format!("it rests {deg} deg from where it was sent (arrival_tolerance_deg = 0.5)"),
+    };
     let at = |hours: f64, dec_deg: f64, slewing: Value| json!({"RightAscension": hours, "Declination": dec_deg, "Slewing": slewing});
     let slew = |ra_deg: f64, dec_deg: f64| json!({"slew": {"ra_deg": ra_deg, "dec_deg": dec_deg}});
     let still = json!(false);
     let rows = [
         (at(23.98, 0.3, still.clone()), Settling(3.0)),
-        (at(0.0, 0.6, still.clone()), stranded("0.60")),
-        (at(0.1, 0.0, still.clone()), stranded("1.50")),
-        (at(0.0, 0.0, json!(true)), Running),
+        (at(0.0, 0.6, still.clone()), stranded(1.2, "0.60")),
+        (at(0.1, 0.0, still.clone()), stranded(3.0, "1.50")),
+        (at(0.0, 0.0, json!(true)), SaysItMoves),
+        (at(0.1, 0.0, json!(true)), Running),
+        (at(0.0, 0.0, ascom_error()), Settling(13.0)),
         (at(0.0, 0.0, json!("NaN")), Running),
         (json!({"Slewing": false, "Declination": 0.0}), Running),
     ];

@@ -101,7 +101,10 @@ impl Driver for FilterWheel {
         let Command::Turn { position } = command;
         match fields.position.known() {
             Some(now) if now == position => Progress::Done,
-            Some(now) => Progress::Stranded(format!("it rests at position {now}, not at {position}")),
+            Some(now) => Progress::Stranded {
+                off: (now - position) as f64,
+                why: format!("it rests at position {now}, not at {position}"),
+            },
             None => Progress::Running,
         }
     }

@@ -157,20 +157,19 @@ impl Driver for Focuser {
     }
 
     fn progress(&self, command: &Command, fields: &Fields) -> Progress {
-        let stands = fields.moving.known() == Some(&false);
+        let (moving, tolerance) = (&fields.moving, self.tolerance_steps.unsigned_abs());
         match (command, fields.position.known()) {
-            (Command::Move { position }, Some(now)) if stands => match now.abs_diff(*position) {
-                0 => Progress::Settling(self.settle_s),
-                off if off <= self.tolerance_steps.unsigned_abs() => Progress::Settling(self.settle_s.max(RESTS_S)),
-                off => {
-                    let tolerance = self.tolerance_steps;
-                    Progress::Stranded(format!(
-                        "it rests at {now}, {off} steps from {position} (tolerance_steps = {tolerance})"
-                    ))
-                }
+            (Command::Move { position }, Some(now)) => match now.abs_diff(*position) {
+                0 => Progress::there(moving, self.settle_s),
+                off if off <= tolerance => Progress::there(moving, self.settle_s.max(RESTS_S)),
+                off if moving.known() == Some(&false) => Progress::Stranded {
+                    off: off as f64 / tolerance.max(1) as f64,
+                    why: format!("it rests at {now}, {off} steps from {position} (tolerance_steps = {tolerance})"),
+                },
+                _ => Progress::Running,
             },
             (Command::Move { .. }, _) => Progress::Running,
-            (Command::Abort, _) => Progress::done_if(stands),
+            (Command::Abort, _) => Progress::rests(moving),
         }
     }
 }

@@ -19,7 +19,7 @@ use std::future::Future;
 use std::time::Duration;
 
 use alpaca::{Abilities, Alpaca, AlpacaError};
-use contract::{CommandId, DeviceKind, Reason, Reply};
+use contract::{CommandId, Datum, DeviceKind, Reason, Reply};
 use interlock::{Hinders, Need};
 
 use crate::now::Now;
@@ -41,8 +41,15 @@ pub enum Progress {
     Done,
     /// There, and done when it stays so for so long, s of sky time.
     Settling(f64),
-    /// It rests elsewhere, for this reason: failed when it stays so.
-    Stranded(String),
+    /// There, and it says that it moves: done when it has said so until the end of the command's time.
+    SaysItMoves,
+    /// It rests elsewhere: failed when it stays so.
+    Stranded {
+        /// How far, in units of the tolerance: while that changes by one, it moves whatever it says.
+        off: f64,
+        /// Where it rests, in words.
+        why: String,
+    },
     /// It will not get there.
     Failed(String),
 }
@@ -52,6 +59,35 @@ impl Progress {
     pub fn done_if(done: bool) -> Self {
         if done { Self::Done } else { Self::Running }
     }
+
+    /// Of a device that is to rest anywhere, by its flag that it moves.
+    pub fn rests(moves: &Datum<bool>) -> Self {
+        match moves.known() {
+            Some(false) => Self::Done,
+            None if is_refused(moves) => Self::Settling(UNREADABLE_S),
+            Some(true) | None => Self::Running,
+        }
+    }
+
+    /// Of a device that is where it was sent and rests there for `settle_s`, by its flag that it moves. Some drivers say
+    /// so for ever, and some report at once where they are going: the flag is believed as long as the command has time.
+    pub fn there(moves: &Datum<bool>, settle_s: f64) -> Self {
+        match Self::rests(moves) {
+            Self::Done if settle_s <= 0.0 => Self::Done,
+            Self::Done => Self::Settling(settle_s),
+            Self::Settling(unreadable_s) => Self::Settling(settle_s + unreadable_s),
+            running if moves.known().is_none() => running,
+            _ => Self::SaysItMoves,
+        }
+    }
+}
+
+/// A command whose effect the driver refuses to tell is taken for done after so long, s of sky time.
+pub const UNREADABLE_S: f64 = 10.0;
+
+/// The driver answers with an error instead of a value: nobody will ever see there whether a command was done.
+pub fn is_refused<T>(datum: &Datum<T>) -> bool {
+    matches!(datum, Datum::Missing { no_data } if no_data.0.starts_with("ascom "))
 }
 
 /// What sending a command came to.

@@ -104,22 +104,26 @@ impl Driver for Rotator {
     }
 
     fn progress(&self, command: &Command, fields: &Fields) -> Progress {
-        let stands = fields.moving.known() == Some(&false);
+        let moving = &fields.moving;
         match (command, fields.position_deg.known()) {
-            (Command::Move { position_deg }, Some(position)) if stands => {
+            (Command::Move { position_deg }, Some(position)) => {
                 // Its nearest step is half of one away.
                 let tolerance_deg = self.tolerance_deg.max(0.51 * self.step_deg().unwrap_or(0.0));
                 let off_deg = apart_deg(*position, *position_deg);
                 match off_deg {
-                    off if off <= 0.1 * tolerance_deg => Progress::Done,
-                    off if off <= tolerance_deg => Progress::Settling(RESTS_S),
-                    off => Progress::Stranded(format!(
-                        "it rests at {position:.2} deg, {off:.2} deg from {position_deg:.2} (tolerance_deg = {tolerance_deg})"
-                    )),
+                    off if off <= 0.1 * tolerance_deg => Progress::there(moving, 0.0),
+                    off if off <= tolerance_deg => Progress::there(moving, RESTS_S),
+                    off if moving.known() == Some(&false) => Progress::Stranded {
+                        off: off / tolerance_deg,
+                        why: format!(
+                            "it rests at {position:.2} deg, {off:.2} deg from {position_deg:.2} (tolerance_deg = {tolerance_deg})"
+                        ),
+                    },
+                    _ => Progress::Running,
                 }
             }
             (Command::Move { .. }, _) => Progress::Running,
-            (Command::Abort, _) => Progress::done_if(stands),
+            (Command::Abort, _) => Progress::rests(moving),
         }
     }
 }

@@ -13,7 +13,7 @@ use contract::device::telescope::{
 use contract::{CommandId, Datum, Reason};
 use interlock::{Hinders, Need};
 
-use super::{Driver, Executed, Progress, apart_deg, vendor, within};
+use super::{Driver, Executed, Progress, UNREADABLE_S, apart_deg, is_refused, vendor, within};
 use crate::mount_sight::{MountSight, Ordered};
 use crate::now::Now;
 use crate::readings::Readings;
@@ -27,8 +27,6 @@ const MOST_RA_S_PER_SIDEREAL_S: f64 = 20_000.0;
 /// A pulse that takes so long is seen as one for long.
 const LONG_PULSE_MS: u32 = 15_000;
 
-/// A command whose effect the driver refuses to tell is taken for done after so long, s of sky time.
-const UNREADABLE_S: f64 = 10.0;
 /// A mount that parks is asked to forget its rates no longer than this.
 const END_RATES: Duration = Duration::from_secs(2);
 
@@ -400,17 +398,16 @@ impl Driver for Telescope {
                 (Datum::Known(ra), Datum::Known(dec)) => {
                     let across = apart_deg(*ra, *ra_deg) * dec_deg.to_radians().cos();
                     let distance = across.hypot(dec - dec_deg);
-                    let is_there = distance <= self.tolerance_deg;
                     match fields.slewing.known() {
-                        Some(false) if is_there => Progress::Settling(self.settle_s),
+                        _ if distance <= self.tolerance_deg => Progress::there(&fields.slewing, self.settle_s),
                         // Right after the command some mounts do not report yet that they slew.
-                        Some(false) => Progress::Stranded(format!(
-                            "it rests {distance:.2} deg from where it was sent (arrival_tolerance_deg = {})",
-                            self.tolerance_deg
-                        )),
-                        None if is_there && is_refused(&fields.slewing) => {
-                            Progress::Settling(self.settle_s + UNREADABLE_S)
-                        }
+                        Some(false) => Progress::Stranded {
+                            off: distance / self.tolerance_deg,
+                            why: format!(
+                                "it rests {distance:.2} deg from where it was sent (arrival_tolerance_deg = {})",
+                                self.tolerance_deg
+                            ),
+                        },
                         _ => Progress::Running,
                     }
                 }
@@ -420,7 +417,7 @@ impl Driver for Telescope {
             Command::Track { on: true } if is_refused(&fields.tracking) => Progress::Settling(UNREADABLE_S),
             Command::Unpark if is_refused(&fields.at_park) => Progress::Settling(UNREADABLE_S),
             Command::Track { on } => Progress::done_if(fields.tracking.known() == Some(on)),
-            Command::Abort => Progress::done_if(fields.slewing.known() == Some(&false)),
+            Command::Abort => Progress::rests(&fields.slewing),
             Command::Park => Progress::done_if(fields.at_park.known() == Some(&true)),
             Command::Unpark => Progress::done_if(fields.at_park.known() == Some(&false)),
             Command::PulseGuide { .. } => Progress::done_if(fields.pulse_guiding.known() != Some(&true)),
@@ -428,11 +425,6 @@ impl Driver for Telescope {
             Command::Sync { .. } | Command::Rates { .. } | Command::Claim => Progress::Done,
         }
     }
-}
-
-/// The driver answers with an error instead of a value: nobody will ever see there whether a command was done.
-fn is_refused<T>(datum: &Datum<T>) -> bool {
-    matches!(datum, Datum::Missing { no_data } if no_data.0.starts_with("ascom "))
 }
 
 /// A guide rate, degrees per second; `None` if it is no speed.

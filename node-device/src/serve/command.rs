@@ -29,8 +29,10 @@ pub(super) struct RunningCommand<D: Driver> {
     /// No answer came: perhaps the device never received it.
     in_doubt: bool,
     resting_since: Option<Instant>,
-    /// Where it rests elsewhere, in words, and since when.
-    stranded: Option<(String, Instant)>,
+    /// How far it rests from where it was sent, in units of its tolerance, and since when.
+    stranded: Option<(f64, Instant)>,
+    /// It is where it was sent, and says that it moves.
+    says_it_moves: bool,
 }
 
 impl<D: Driver> Loop<D> {
@@ -108,6 +110,7 @@ impl<D: Driver> Loop<D> {
             in_doubt: false,
             resting_since: None,
             stranded: None,
+            says_it_moves: false,
         });
     }
 
@@ -145,21 +148,20 @@ impl<D: Driver> Loop<D> {
             let driver = &self.serve.driver;
             let fields = driver.fields(&self.readings);
             let progress = driver.progress(&running.order.command, &fields);
-            if !matches!(progress, Progress::Stranded(_)) {
+            running.says_it_moves = progress == Progress::SaysItMoves;
+            if !matches!(progress, Progress::Stranded { .. }) {
                 running.stranded = None;
             }
             match progress {
                 Progress::Done => return self.end(CommandOutcome::Done),
                 Progress::Failed(reason) => return self.end(CommandOutcome::Failed { reason }),
-                Progress::Running | Progress::Stranded(_) => {
+                Progress::Running | Progress::SaysItMoves | Progress::Stranded { .. } => {
                     running.settling_since = None;
-                    if let Progress::Stranded(where_to) = progress {
-                        let before = running.stranded.take().filter(|(before, _)| *before == where_to);
-                        let since = before.map_or(began, |(_, since)| since);
-                        running.stranded = Some((where_to.clone(), since));
+                    if let Progress::Stranded { off, why } = progress {
+                        let (_, since) = *running.stranded.insert(rests_since(running.stranded, off, began));
                         let limit = machine_limit(self.serve.node.bus.clock(), STRANDED);
                         if began.duration_since(since) >= limit {
-                            return self.end(CommandOutcome::Failed { reason: where_to });
+                            return self.end(CommandOutcome::Failed { reason: why });
                         }
                     }
                     let rests = running.in_doubt && !driver.works_at(&running.order.command, &fields);
@@ -180,6 +182,10 @@ impl<D: Driver> Loop<D> {
             }
         }
         if running.deadline.is_some_and(|deadline| Instant::now() >= deadline) {
+            if running.says_it_moves {
+                tracing::warn!(device = %self.serve.device, "it says that it moves, and is where it was sent: taken for done");
+                return self.end(CommandOutcome::Done);
+            }
             let limit = self.serve.driver.limit(&running.order.command).as_secs_f64();
             self.end(CommandOutcome::Failed { reason: format!("not done within {limit} s") });
         }
@@ -209,6 +215,12 @@ impl<D: Driver> Loop<D> {
     }
 }
 
+/// How far a device rests from where it was sent, in units of its tolerance, and since when. Its encoder may flicker, but
+/// one that comes nearer or goes the other way round still moves.
+fn rests_since(before: Option<(f64, Instant)>, off: f64, now: Instant) -> (f64, Instant) {
+    before.filter(|(before, _)| (off - before).abs() < 1.0).unwrap_or((off, now))
+}
+
 fn ended(outcome: &CommandOutcome) -> Ended {
     match outcome {
         // A command ends only once.
@@ -227,5 +239,23 @@ fn verb<C: serde::Serialize>(command: &C) -> String {
         Ok(serde_json::Value::String(word)) => word,
         Ok(serde_json::Value::Object(object)) => object.keys().next().cloned().unwrap_or_default(),
         _ => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_encoder_that_flickers_rests_and_one_that_comes_nearer_moves() {
+        let begun = Instant::now();
+        let at = |s: u64| begun + Duration::from_secs(s);
+        let mut rests = None;
+        for (s, off, since) in
+            [(0, 8.0, 0), (1, 8.3, 0), (2, 7.6, 0), (3, 8.9, 0), (4, 7.0, 4), (5, 6.4, 4), (6, 5.9, 6)]
+        {
+            rests = Some(rests_since(rests, off, at(s)));
+            assert_eq!(rests.map(|(_, since)| since), Some(at(since)), "at {s} s, {off} tolerances off");
+        }
     }
 }

@@ -162,11 +162,16 @@ impl Mount {
                 Err(error) => why = error.to_string(),
             }
         }
+        // One that does not answer is told of by another alert, and may track or not.
+        let is_silent = self.instrument.fresh().is_none();
         if self.instrument.can().is_some_and(|can| !can.park) {
             return Err(format!("{name} goes on tracking, was told {TOLD} times, and cannot park: {why}"));
         }
         match self.instrument.execute(Command::Park, self.slew_timeout()).await {
-            Ok(_) => Err(format!("{name} went on tracking, was told {TOLD} times, and is parked: {why}")),
+            Ok(_) if is_silent => Ok(()),
+            Ok(_) => {
+                Err(format!("{name} went on tracking after it was told {TOLD} times to stop, and was parked for it"))
+            }
             Err(park) => {
                 Err(format!("{name} goes on tracking, was told {TOLD} times, and does not park ({park}): {why}"))
             }

@@ -50,17 +50,17 @@ impl HeldUp {
         }
     }
 
-    /// A row is held up no more.
-    pub fn remove(&mut self, id: &RowId, alerts: &NodeAlerts) {
-        if let Some(reason) = self.rows.remove(id) {
-            self.report(reason.instance, alerts);
-        }
+    /// A row is held up no more; returns what held it up.
+    pub fn remove(&mut self, id: &RowId, alerts: &NodeAlerts) -> Option<String> {
+        let reason = self.rows.remove(id)?;
+        self.report(reason.instance, alerts);
+        Some(reason.detail)
     }
 
     /// Forgets the rows that the schedule has no longer.
     pub fn keep_only(&mut self, is_there: impl Fn(&RowId) -> bool, alerts: &NodeAlerts) {
         let gone: Vec<RowId> = self.rows.keys().filter(|id| !is_there(id)).cloned().collect();
-        gone.iter().for_each(|id| self.remove(id, alerts));
+        gone.iter().for_each(|id| drop(self.remove(id, alerts)));
     }
 
     fn report(&self, instance: &'static str, alerts: &NodeAlerts) {

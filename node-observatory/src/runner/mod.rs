@@ -93,6 +93,7 @@ pub async fn keep_observing(
         runner.take_schedule(&loaded.borrow_and_update());
         if runner.tools.authority.objection(None).is_none() {
             runner.skip_passed();
+            runner.end_rests();
             while runner.start_next() {}
             runner.forget_gone_causes();
             runner.log_end();
@@ -172,9 +173,10 @@ impl Runner {
                 continue;
             };
             let taken = self.tools.journal.progress(&row.id).taken;
-            let detail = passed_words(*status, taken);
+            let held_up = self.postponed.remove(&row.id, &self.tools.authority.node.alerts);
+            let because = held_up.map(|why| format!(": {why}")).unwrap_or_default();
+            let detail = format!("{}{because}", passed_words(*status, taken));
             tracing::info!(row = index, action = row.action.name(), detail, "skipped");
-            self.postponed.remove(&row.id, &self.tools.authority.node.alerts);
             self.sequence.set(index, RowStatus::Skipped);
             self.show(index, RowStatus::Skipped, detail);
         }
@@ -233,7 +235,7 @@ impl Runner {
                 .close_request
                 .send_if_modified(|request| request.is_none() && std::mem::replace(request, why()).is_none());
         }
-        if !matches!(end, RowEnd::Postponed(..)) {
+        if !matches!(end, RowEnd::Postponed { .. }) {
             self.postponed.remove(id, &self.tools.authority.node.alerts);
         }
         let (status, detail) = match end {
@@ -242,7 +244,9 @@ impl Runner {
                 self.failed.add(id, number, kind, &detail, &self.tools.authority.node.alerts);
                 (RowStatus::Failed, detail)
             }
-            RowEnd::Postponed(detail, kind) => (RowStatus::Interrupted, self.postpone(id, number, detail, kind)),
+            RowEnd::Postponed { detail, kind, silent } => {
+                (RowStatus::Interrupted, self.postpone(id, number, detail, kind, silent))
+            }
             RowEnd::Waits(detail, clear) => {
                 let clock = self.tools.authority.node.bus.clock();
                 let left = clock.machine_duration(seconds(clear.seconds_since(clock.utc())));
@@ -274,16 +278,34 @@ impl Runner {
     }
 
     /// Lets a row rest for a device's sake, as the policy for that kind has it; returns the state to publish.
-    fn postpone(&mut self, id: &RowId, number: u32, detail: String, kind: Option<Kind>) -> String {
+    fn postpone(
+        &mut self,
+        id: &RowId,
+        number: u32,
+        detail: String,
+        kind: Option<Kind>,
+        silent: Option<String>,
+    ) -> String {
         let (faults, clock) = (&self.tools.authority.node.config.faults, self.tools.authority.node.bus.clock());
+        let sooner = silent.as_ref().map(|device| format!(", or when {device} answers")).unwrap_or_default();
         let rest = self.rests.begin(id, seconds(faults.rest_s), clock.machine());
+        if let Some(device) = silent {
+            self.rests.end_when_heard(id, device, seconds(faults.pause_s), clock.machine());
+        }
         match kind.map_or(FaultPolicy::Postpone, |kind| faults.policy(kind)) {
             FaultPolicy::Close => drop(self.tools.authority.close_request.send_replace(Some(detail.clone()))),
             FaultPolicy::Stop => crate::robotic::turn_off(&self.tools.authority, &self.tools.journal, &detail),
             FaultPolicy::Postpone | FaultPolicy::Skip | FaultPolicy::Without => {}
         }
         self.postponed.add(id, number, kind, &detail, &self.tools.authority.node.alerts);
-        format!("{detail}; tried again in {:.0} s", rest.as_secs_f64())
+        let again = clock.utc().plus_seconds(rest.as_secs_f64() * clock.speed());
+        format!("{detail}; tried again at {}{sooner}", again.time_of_day())
+    }
+
+    /// Ends the rests of rows for a device that was silent and answers again.
+    fn end_rests(&mut self) {
+        let (devices, machine) = (&self.tools.devices, self.tools.authority.node.bus.clock().machine());
+        self.rests.heard(|device| devices.is_heard(device), machine);
     }
 
     /// After the last row: closes everything, and publishes that the night has ended once that is verified.

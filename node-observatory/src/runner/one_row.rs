@@ -22,7 +22,14 @@ pub enum RowEnd {
     /// Not done, and not to be tried again; with the kind of device that is at fault, where one is.
     Failed(String, Option<Kind>),
     /// Not done because of a device: to be tried again later.
-    Postponed(String, Option<Kind>),
+    Postponed {
+        /// What went wrong.
+        detail: String,
+        /// The kind of device that is at fault, where one is.
+        kind: Option<Kind>,
+        /// The device (`site/telescope/kind/name`), if it says nothing: the row need not rest longer than that.
+        silent: Option<String>,
+    },
     /// Its target is hidden, and is clear from then on: other rows go on until then.
     Waits(String, Utc),
     /// Stopped; goes on when there is no objection to it any more.
@@ -80,7 +87,9 @@ pub async fn run_row(context: &RowContext, techniques: &Techniques, withdrawn: w
             let kind = error.kind();
             let policy = kind.map_or(FaultPolicy::Postpone, |kind| faults.policy(kind));
             return if error.may_pass() && in_time && policy != FaultPolicy::Skip {
-                RowEnd::Postponed(error.to_string(), kind)
+                let at_fault =
+                    error.device().filter(|device| error.is_silence() || !context.tools.devices.is_heard(device));
+                RowEnd::Postponed { detail: error.to_string(), kind, silent: at_fault.map(str::to_owned) }
             } else {
                 RowEnd::Failed(error.to_string(), kind)
             };

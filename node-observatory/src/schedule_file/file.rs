@@ -1,5 +1,6 @@
 //! The schedule file: read at start, when it changes, and when ordered; a bad one leaves the old rows standing.
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, SystemTime};
@@ -135,18 +136,21 @@ fn take(
     None
 }
 
-/// Keeps a text as a version, unless it is the newest already; returns it again where the disk fails.
-async fn keep_version(file: &ScheduleFile, unkept: Option<(String, usize)>) -> Option<(String, usize)> {
+/// Keeps a text as a version, unless it is the newest already or another is active by now; returns it again where the disk
+/// fails.
+async fn keep_version(file: &Arc<ScheduleFile>, unkept: Option<(String, usize)>) -> Option<(String, usize)> {
     let (text, rows) = unkept?;
-    let (versions, at) = (file.versions.clone(), file.authority.node.bus.clock().utc());
+    let at = file.clone();
     let keeping = tokio::task::spawn_blocking(move || {
-        let author = Author { name: "file".to_owned(), reason: String::new() };
-        let stored = versions.keep(&text, rows, &author, at);
+        // An order that replaced it meanwhile has kept it.
+        let active = at.active.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_active = active.as_ref().is_some_and(|active| *active.text == *text);
+        let stored = if is_active { keep_as_written(&at, &text, rows) } else { Ok(()) };
         (stored, text)
     });
     let (stored, text) = keeping.await.ok()?;
     match stored {
-        Ok(_) => {
+        Ok(()) => {
             file.authority.node.alerts.clear(AlertKind::ScheduleNotSaved, "");
             None
         }
@@ -156,6 +160,12 @@ async fn keep_version(file: &ScheduleFile, unkept: Option<(String, usize)>) -> O
             Some((text, rows))
         }
     }
+}
+
+/// Keeps a text that somebody wrote into the file. Blocks.
+pub(super) fn keep_as_written(file: &ScheduleFile, text: &str, rows: usize) -> io::Result<()> {
+    let author = Author { name: "file".to_owned(), reason: String::new() };
+    file.versions.keep(text, rows, &author, file.authority.node.bus.clock().utc()).map(drop)
 }
 
 /// What is known now: the configuration with its horizon files, and the filters that the wheels report. Reads files.

@@ -6,7 +6,7 @@ use std::sync::{Arc, PoisonError};
 use node::private::write_whole;
 use schedule::read_text;
 
-use super::file::rows_of;
+use super::file::{keep_as_written, rows_of};
 use super::{ActiveText, ScheduleFile};
 use crate::persisted::Unchanged;
 use crate::schedule_file::versions::{Author, sha256};
@@ -51,6 +51,12 @@ fn replace(file: &ScheduleFile, text: &str, instead_of: Option<&str>, author: &A
         )));
     }
     let rows = rows_of(text, file).map_err(Unchanged::Refused)?;
+    // A person may have written what stands there a moment ago: nothing is replaced that is no version.
+    if let Ok(on_disk) = read_text(&file.authority.node.config.schedule.file)
+        && let Ok(rows) = rows_of(&on_disk, file)
+    {
+        keep_as_written(file, &on_disk, rows.len()).map_err(|error| failed(file, error))?;
+    }
     let stored = file.versions.keep(text, rows.len(), author, file.authority.node.bus.clock().utc());
     let (version, is_new) = stored.map_err(|error| failed(file, error))?;
     let replaced = write_whole(&file.authority.node.config.schedule.file, text.as_bytes());

@@ -252,6 +252,27 @@ async fn a_silent_monitor_closes_and_rows_that_need_no_sky_go_on() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_row_that_rests_for_a_silent_camera_goes_on_when_it_answers() {
+    let mut site = Site::new(1.0).await;
+    // Nobody sees the end of such a rest.
+    site.more = "[faults]\nretries = 0\npause_s = 0.2\nrest_s = 3600\n";
+    site.write_schedule(&[("calibration", r#"{"exptime": [1], "n": [2]}"#, "02:00:00", "05:00:00")]);
+    let reason = contract::NoData::new("timeout", "2 s");
+    site.camera.state.send_modify(|state| state.link = contract::Link::Lost { reason });
+    let node = site.start().await;
+    let rests = |site: &Site| {
+        let schedule = site.schedule.get().map(|received| received.sample.body);
+        schedule
+            .is_some_and(|schedule| schedule.rows[0].detail.contains(", or when paranal/callisto/camera/cam answers"))
+    };
+    site.until("resting", MOST, rests).await;
+    assert_eq!(site.exposures(), 0);
+    site.camera.state.send_modify(|state| state.link = contract::Link::Connected);
+    site.until("finished", MOST, |site| statuses(site) == [RowStatus::Finished]).await;
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_roof_that_its_guard_has_shut_is_opened_again() {
     let site = Site::new(20.0).await;
     let object = format!(r#"{{"object": "x", "exptime": 10, {TARGET}, "n": 4}}"#);

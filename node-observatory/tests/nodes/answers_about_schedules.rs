@@ -108,6 +108,9 @@ async fn the_forecast_of_a_draft_and_the_text_of_each_schedule_are_answered() {
     let list = texts(ScheduleTextQuestion { list: Some(10), ..Default::default() }).await;
     let newest = list.versions.first().unwrap();
     assert_eq!((newest.author.as_str(), newest.reason.as_str(), newest.rows), ("test", "a test", 1), "{list:?}");
+    // What stood in the file is a version, however soon it was replaced.
+    let authors: Vec<&str> = list.versions.iter().map(|version| version.author.as_str()).collect();
+    assert_eq!(authors, ["test", "file"], "{list:?}");
     let before =
         texts(ScheduleTextQuestion { list: Some(10), before: Some(newest.version), ..Default::default() }).await;
     assert!(before.versions.iter().all(|version| version.version < newest.version), "{before:?}");

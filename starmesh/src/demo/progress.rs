@@ -7,7 +7,9 @@ use std::time::Duration;
 use bus::{Bus, Catch, Subscriber};
 use contract::archive::Stored;
 use contract::node::{DiaryLine, Level};
-use contract::observatory::{Alerts, GuidingState, NightState, RowStatus, SafetyState, ScheduleState, Verdict};
+use contract::observatory::{
+    Alerts, GuidingState, NightState, RowState, RowStatus, SafetyState, ScheduleState, Verdict,
+};
 use contract::{Address, NodeTopic, Part, Topic, printable};
 use units::Utc;
 
@@ -39,7 +41,7 @@ pub struct Facts {
     alerts: BTreeMap<String, String>,
     closings: u32,
     errors: u32,
-    rows: Vec<(String, RowStatus, String)>,
+    rows: Vec<RowState>,
     last: Option<(Utc, NightState, Option<Verdict>)>,
     verdict: Option<Verdict>,
     /// Whether a field is guided now, and how many were.
@@ -125,7 +127,7 @@ impl Progress {
 
     /// The archive may still be busy when the night has ended, and the last row's state on its way.
     async fn last_headers(&mut self) {
-        while self.facts.rows.iter().any(|(_, status, _)| *status == RowStatus::Running) {
+        while self.facts.rows.iter().any(|row| row.status == RowStatus::Running) {
             match tokio::time::timeout(Duration::from_secs(5), self.schedule.recv()).await {
                 Ok(received) => self.rows(received.sample.at_utc, received.sample.body),
                 Err(_) => break,
@@ -161,25 +163,12 @@ impl Progress {
             self.print(now, &format!("schedule refused: {refused}"));
         }
         for (index, row) in schedule.rows.iter().enumerate() {
-            let name = format!("{}{}", row.action, row.object.as_deref().map_or(String::new(), |o| format!(" {o}")));
-            if self.facts.rows.len() <= index {
-                self.facts.rows.push((name.clone(), RowStatus::Pending, String::new()));
+            let before = self.facts.rows.get(index).map_or(RowStatus::Pending, |row| row.status);
+            if before != row.status {
+                self.print(now, &row_words(row, if row.status == RowStatus::Running { "started" } else { word(row) }));
             }
-            if self.facts.rows[index].1 != row.status {
-                let word = match row.status {
-                    RowStatus::Pending => "waits",
-                    RowStatus::Running => "started",
-                    RowStatus::Interrupted => "interrupted",
-                    RowStatus::Finished => "finished",
-                    RowStatus::Failed => "FAILED",
-                    RowStatus::Skipped => "skipped",
-                };
-                let frames = if row.frames > 0 { format!(", {} frames", row.frames) } else { String::new() };
-                let detail = if row.detail.is_empty() { String::new() } else { format!(" ({})", row.detail) };
-                self.print(now, &format!("{name} {word}{frames}{detail}"));
-            }
-            self.facts.rows[index] = (name, row.status, row.detail.clone());
         }
+        self.facts.rows = schedule.rows;
     }
 
     fn guiding(&mut self, now: Utc, state: &GuidingState) {
@@ -237,12 +226,16 @@ impl Progress {
     }
 
     /// Its figures, in the order of [`FIGURES`].
-    fn figures(&self) -> [String; 9] {
+    fn figures(&self) -> [String; 10] {
         let facts = &self.facts;
-        let finished = facts.rows.iter().filter(|(_, status, _)| *status == RowStatus::Finished).count();
+        let finished = facts.rows.iter().filter(|row| row.status == RowStatus::Finished).count();
+        let targets = || facts.rows.iter().filter(|row| row.object.is_some());
+        let taken: u32 = targets().map(|row| row.frames).sum();
+        let wanted: u32 = targets().filter_map(|row| row.frames_wanted).sum();
         let now = if self.is_closed() { "closed" } else { "NOT CLOSED" };
         [
             facts.frames.to_string(),
+            format!("{taken} of {wanted}"),
             facts.stored.len().to_string(),
             facts.complete.len().to_string(),
             format!("{:.1} h", facts.open_s / 3600.0),
@@ -254,17 +247,46 @@ impl Progress {
         ]
     }
 
-    fn unfinished(&self) -> impl Iterator<Item = String> {
-        let rows = self.facts.rows.iter().filter(|(_, status, _)| *status != RowStatus::Finished);
-        rows.map(|(name, status, detail)| {
-            format!("    {}: {} {}", printable(name), format!("{status:?}").to_lowercase(), printable(detail))
-        })
+    /// The rows without all their frames, and the alerts of the night.
+    fn what_went_wrong(&self) -> impl Iterator<Item = String> {
+        let is_short = |row: &&RowState| {
+            row.status != RowStatus::Finished || row.frames_wanted.is_some_and(|wanted| row.frames < wanted)
+        };
+        let rows = self.facts.rows.iter().filter(is_short).map(|row| row_words(row, word(row)));
+        rows.chain(self.facts.alerts.iter().map(|(id, cause)| format!("alert {id}: {cause}")))
     }
 }
 
+/// How a row ended, or that it waits.
+fn word(row: &RowState) -> &'static str {
+    match row.status {
+        RowStatus::Pending => "waits",
+        RowStatus::Running => "runs",
+        RowStatus::Interrupted => "interrupted",
+        RowStatus::Finished => "finished",
+        RowStatus::Failed => "FAILED",
+        RowStatus::Skipped => "skipped",
+    }
+}
+
+/// Such as `object 47 Tuc interrupted, 7 of 20 frames (not safe: it rains)`.
+fn row_words(row: &RowState, word: &str) -> String {
+    let object = row.object.as_deref().map(|object| format!(" {object}")).unwrap_or_default();
+    let frames = match row.frames_wanted {
+        Some(wanted) if row.frames > 0 || row.status == RowStatus::Skipped => {
+            format!(", {} of {wanted} frames", row.frames)
+        }
+        None if row.frames > 0 => format!(", {} frames", row.frames),
+        _ => String::new(),
+    };
+    let detail = if row.detail.is_empty() { String::new() } else { format!(" ({})", row.detail) };
+    format!("{}{object} {word}{frames}{detail}", row.action)
+}
+
 /// What the summary says of each telescope.
-const FIGURES: [&str; 9] = [
+const FIGURES: [&str; 10] = [
     "frames taken",
+    "  of targets",
     "files stored",
     "headers complete",
     "dome open",
@@ -272,12 +294,12 @@ const FIGURES: [&str; 9] = [
     "fields guided",
     "rows finished",
     "alerts",
-    "errors",
+    "errors logged",
 ];
 
 /// The summary of all telescopes, one column each, and whether their nights went well.
 pub fn summary(nights: &[Progress]) -> (String, bool) {
-    let columns: Vec<[String; 9]> = nights.iter().map(Progress::figures).collect();
+    let columns: Vec<[String; 10]> = nights.iter().map(Progress::figures).collect();
     let mut text = "\nsummary".to_owned();
     if nights.len() > 1 {
         let names: String = nights.iter().map(|night| format!("  {:<21}", night.address.to_string())).collect();
@@ -288,9 +310,9 @@ pub fn summary(nights: &[Progress]) -> (String, bool) {
         text.push_str(&format!("\n  {name:<16}{}", figures.trim_end()));
     }
     for night in nights {
-        let of = if nights.len() > 1 { format!(" of {}", night.address) } else { String::new() };
-        for row in night.unfinished() {
-            text.push_str(&format!("\n{row}{of}"));
+        let name = if nights.len() > 1 { format!("{:<13} ", night.address.to_string()) } else { String::new() };
+        for line in night.what_went_wrong() {
+            text.push_str(&format!("\n  {name}{}", printable(&line)));
         }
     }
     (text, nights.iter().all(Progress::went_well))

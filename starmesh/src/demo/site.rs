@@ -212,12 +212,14 @@ impl Plan {
         text.push_str("\n[schedule]\nrobotic = true\n");
         // On a busy machine hours of this fast sky pass between two looks, and the mount drifts meanwhile.
         text.push_str("\n[pointing]\nthreshold_arcmin = 0.3\n");
+        // Under this sky a rest of the usual length is an hour of the night.
+        text.push_str("\n[faults]\nretries = 1\npause_s = 1\nrest_s = 2\n");
         if let Some(port) = web_port {
             text.push_str(&format!("\n[web]\nlisten = \"127.0.0.1:{port}\"\n"));
         }
         if self.shares {
             text.push_str(&format!(
-                "\n[faults]\nretries = 1\n\n[shared]\nsafetymonitor = [\"monitor\"]\nobservingconditions = [\"weather\"]\ndwell_min = 15.0\n{LIMITS}"
+                "\n[shared]\nsafetymonitor = [\"monitor\"]\nobservingconditions = [\"weather\"]\ndwell_min = 15.0\n{LIMITS}"
             ));
         } else {
             block(&mut text, simulator, "safetymonitor", "monitor", "dwell_min = 15.0\n");

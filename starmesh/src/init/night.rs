@@ -6,7 +6,7 @@ use sky::{EarthOrientation, Icrs, Place};
 use units::{Angle, Utc};
 
 use super::place::Surroundings;
-use crate::fields::{FIELDS, M_42, NamedField};
+use crate::fields::{FIELDS, M_78, NamedField};
 
 /// The field is the highest one for so long from the beginning of the night on.
 const LENGTH_S: f64 = 2.5 * 3600.0;
@@ -36,7 +36,7 @@ pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::
             "// Where the telescope stands is not known yet, or the Sun does not set there: these rows are comments.\n";
         let start = now.plus_seconds(3600.0);
         let end = start.plus_seconds(LENGTH_S);
-        for line in rows(config, camera, &M_42, (start, end, end)) {
+        for line in rows(config, camera, &M_78, (start, end, end)) {
             text += &format!("// {line}\n");
         }
         return Ok(text);
@@ -49,7 +49,7 @@ pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::
     let mut observed = dusk.plus_seconds(LENGTH_S).min(dawn);
     let lowest = |field: &NamedField| lowest_deg(field, dusk, observed);
     let sparse = FIELDS.iter().filter(|field| !field.is_crowded);
-    let field = sparse.max_by(|a, b| lowest(a).total_cmp(&lowest(b))).unwrap_or(&M_42);
+    let field = sparse.max_by(|a, b| lowest(a).total_cmp(&lowest(b))).unwrap_or(&M_78);
     while observed < dawn && lowest_deg(field, observed, observed.plus_seconds(STEP_S)) >= LOW_DEG {
         observed = observed.plus_seconds(STEP_S).min(dawn);
     }

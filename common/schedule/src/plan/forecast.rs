@@ -79,12 +79,15 @@ pub fn forecast_while(
     let (world, at_work, light) = (World::default(), Vec::new(), Vec::new());
     let hidden = BTreeMap::new();
     let mut forecast = Forecast { site, sequence, world, safe, last, at_work, hidden, rows: planned, light };
+    // Cooling may begin before noon, and headers may be completed until the next evening: that is no second night.
+    let sky = || forecast.sequence.rows().iter().filter(|row| row.action.needs().safe);
+    let (dark_from, dark_to) = (sky().map(|row| row.start).min(), sky().map(|row| row.end).max());
     let begins = forecast.go_on_from(first);
     if !forecast.run(begins, goes_on) {
         return Ok(None);
     }
     let Forecast { site, world, rows, light, .. } = forecast;
-    let dark = dark(site, first, last)?;
+    let dark = dark(site, dark_from.unwrap_or(first), dark_to.map_or(last, |to| to.min(last)))?;
     let dark_s = dark.iter().map(|(from, to)| to.seconds_since(*from)).sum();
     let dark_exposed_s = common_s(&dark, light);
     Ok(Some(PlannedNight { rows, open_s: world.open_s(), closed: world.closed, dark_s, dark_exposed_s }))

@@ -103,6 +103,18 @@ fn a_plan_gives_altitudes_bytes_and_the_use_of_the_dark() {
     // With the Sun at declination -19.7 deg it stands below -18 deg for 7.78 h at this latitude (cosine rule).
     assert!((27_700.0..28_200.0).contains(&night.dark_s), "{}", night.dark_s);
     assert!((night.dark_exposed_s - 60.0 * 58.0).abs() < 1e-3, "{}", night.dark_exposed_s);
+    // Rows that need no sky reach into the day before and the night after.
+    let calibration = |start: &str, end: &str| {
+        format!(
+            r#"{{"device_name": "main", "action_type": "calibration", "start_time": "{start}", "end_time": "{end}",
+            "action_value": {{"exptime": [0], "n": [1]}}}}"#
+        )
+    };
+    let (before, after) = ("2026-11-20 15:00:00", "2026-11-22 12:00:00");
+    let longer =
+        [calibration(before, "2026-11-20 16:00:00"), text.to_owned(), calibration("2026-11-21 06:00:00", after)];
+    let longer = longer.map(|row| row.replace('\n', "")).join("\n");
+    assert_eq!(plan(&longer).dark_s, night.dark_s);
     let span = row.span().unwrap();
     assert!(night.open_s > span.1.seconds_since(span.0) - 61.0 && night.closed.unwrap() > span.1);
 }
