@@ -1,6 +1,6 @@
 // What a telescope does, in words for a title.
 import { duration } from "./format.js";
-import { inputWords } from "./shell.js";
+import { inputWords } from "./inputs.js";
 import { link } from "./store.js";
 
 /** What a telescope does, in a title and a sentence. */

@@ -1,4 +1,5 @@
 // The inputs of the verdict: their names for people, units and limits.
+import { html } from "./lib.js";
 import { number, plain } from "./format.js";
 
 /**
@@ -11,6 +12,17 @@ export const PARAMETERS = [
   ["RainRate", "rain_mm_per_h", "Rain", "mm/h", [0, 10], 1], ["CloudCover", "cloud_percent", "Cloud", "%", [0, 100], 0], ["Pressure", "pressure_hpa", "Pressure", "hPa", [500, 1050], 1],
   ["SkyQuality", "sky_mag_per_arcsec2", "Sky quality", "mag/arcsec²", [0, 22], 2], ["SkyBrightness", "sky_lux", "Sky brightness", "lx", [0, 100], 3], ["StarFWHM", "star_fwhm_arcsec", "Star FWHM", "″", [0, 5], 2],
 ];
+
+/** An input of the verdict in words: `weather/WindSpeed` is "wind speed", `safetymonitor/monitor` is "safety monitor". */
+export function inputWords(input) {
+  const [first, ...rest] = String(input).split("/");
+  if (!rest.length) return first;
+  const last = rest[rest.length - 1].replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase();
+  return first === "safetymonitor" ? `safety monitor${last === "monitor" ? "" : ` ${last}`}` : last;
+}
+
+/** The same where a line or a cell begins, with its name on the bus as title. */
+export const Input = ({ input }) => { const words = inputWords(input); return html`<span title=${input}>${words[0].toUpperCase()}${words.slice(1)}</span>`; };
 
 /** Value of an input of the verdict, with its unit. */
 export function inputValue({ input, value }) {

@@ -2,7 +2,8 @@
 import { html, useEffect, useMemo, useRef, useSignal } from "./lib.js";
 import { useReport } from "./api.js";
 import { altaz, moon, twilight } from "./astro.js";
-import { clock, hourMinute } from "./format.js";
+import { clock, hourMinute, number } from "./format.js";
+import { inputWords } from "./inputs.js";
 import { standing } from "./parts.js";
 import { useSite } from "./site.js";
 import { net, useTopic } from "./store.js";
@@ -65,7 +66,7 @@ export function blocksOf(done, rows) {
     const [from, to] = [utc(piece.from_utc), utc(piece.to_utc)];
     if (!(to - from > 2000)) continue;
     if (STOPS[piece.group]) {
-      out.push({ from, to, cls: STOPS[piece.group], texts: [words(String(piece.kind).split("/").pop())], title: String(piece.kind) });
+      out.push({ from, to, cls: STOPS[piece.group], texts: [inputWords(piece.kind)] });
     } else if (piece.group === "open_shutter") {
       const row = rows.find((one) => one.object && utc(one.start_utc) <= to && utc(one.end_utc) >= from);
       const last = out[out.length - 1];
@@ -73,7 +74,7 @@ export function blocksOf(done, rows) {
       else out.push({ from, to, row, frames: 1, cls: row?.status === "running" ? "b-run" : "b-done", name: words(row?.object ?? piece.kind) });
     }
   }
-  return out.map((block) => (block.frames ? { ...block, texts: [`${block.name}, ${block.frames} ${block.frames > 1 ? "frames" : "frame"}`, `${block.name}, ${block.frames}`, block.name, String(block.frames)] } : block));
+  return out.map((block) => (block.frames ? { ...block, texts: [`${block.name}, ${block.frames} ${block.frames > 1 ? "frames" : "frame"}`, block.name] } : block));
 }
 
 /** Width of an element, as it changes. */
@@ -87,26 +88,60 @@ function useWidth(place, least) {
   return width.value;
 }
 
-/**
- * A bar between two times, with the longest of its texts for which there is room.
- * @param {{ from: number, to: number, cls: string, texts: string[], title?: string }} block @param {(ms: number) => number} X @param {number[]} span
- * @param {number} y @param {string | number} key
- */
-function bar({ from, to, cls, texts, title }, X, [t0, t1], y, key) {
-  if (to < t0 || from > t1) return null;
-  const x = X(Math.max(from, t0));
-  const w = Math.max(1.5, X(Math.min(to, t1)) - x);
-  const text = texts.find((one) => w > one.length * 6.4 + 8);
-  return html`<g key=${key}><title>${title ?? texts[0]}</title><rect class=${cls} x=${x.toFixed(1)} y=${y + 1} width=${w.toFixed(1)} height="18" rx="3" />${text && html`<text x=${x + 6} y=${y + 14} class=${/b-(done|run)/.test(cls) ? "on" : "in"}>${text}</text>`}</g>`;
+const ruler = /** @type {CanvasRenderingContext2D} */ (document.createElement("canvas").getContext("2d"));
+/** Width of a text of the timeline, px. */
+const widthOf = (text) => { ruler.font = "550 11px Inter, sans-serif"; return ruler.measureText(text).width; };
+
+/** The longest of the texts for which there is room, px; else the last one, shortened; nothing where half of it does not fit. */
+function fitted(texts, room) {
+  const whole = texts.find((text) => widthOf(text) <= room);
+  if (whole) return whole;
+  const last = texts[texts.length - 1];
+  for (let n = last.length - 1; n >= Math.max(3, last.length / 2); n -= 1) if (widthOf(`${last.slice(0, n)}…`) <= room) return `${last.slice(0, n).trimEnd()}…`;
+  return "";
 }
+
+/**
+ * The bars of a lane and above them their texts, each in the room up to where the next bar begins.
+ * @param {{ from: number, to: number, cls: string, texts: string[], title?: string }[]} bars @param {(ms: number) => number} X @param {number[]} span @param {number} y
+ */
+function lane(bars, X, [t0, t1], y) {
+  const shown = bars.filter(({ from, to }) => to >= t0 && from <= t1).map((one) => { const x = X(Math.max(one.from, t0)); return { ...one, x, w: Math.max(1.5, X(Math.min(one.to, t1)) - x) }; }).sort((a, b) => a.x - b.x);
+  const labels = shown.map(({ x, w, texts }, i) => fitted(texts, Math.min(x + w, shown[i + 1]?.x ?? Infinity) - x - 10));
+  return [...shown.map(({ x, w, cls, texts, title }, i) => html`<rect key=${`b${i}`} class=${cls} x=${x.toFixed(1)} y=${y + 1} width=${w.toFixed(1)} height="18" rx="3"><title>${title ?? texts[0]}</title></rect>`),
+    ...shown.map(({ x, cls }, i) => labels[i] && html`<text key=${`t${i}`} x=${x + 6} y=${y + 14} class=${/b-(done|run)/.test(cls) ? "on" : "in"}>${labels[i]}</text>`)];
+}
+
+/** Names of curves `{ points, text, cls }` in pixels, each above or below its curve where neither another name nor the line of now is in the way, or left out. */
+function named(curves, right, top, now) {
+  const taken = [];
+  return curves.filter(({ points }) => points.length > 1).map(({ points, text, cls }) => {
+    const w = widthOf(text);
+    const [from, to] = [points[0][0], points[points.length - 1][0]];
+    for (const middle of [0.5, 0.25, 0.75].map((part) => from + part * (to - from)).concat(now - w / 2 - 5, now + w / 2 + 5)) {
+      const x = Math.min(right - w, middle - w / 2);
+      const [, near] = points.reduce((best, point) => (Math.abs(point[0] - middle) < Math.abs(best[0] - middle) ? point : best));
+      for (const y of [near - 6, near + 15]) {
+        if (y < top + 10 || (x < now + 3 && now < x + w + 3) || taken.some(([ax, ay, aw]) => x < ax + aw + 6 && ax < x + w + 6 && Math.abs(ay - y) < 13)) continue;
+        taken.push([x, y, w]);
+        return html`<text key=${text} class=${cls} x=${x.toFixed(1)} y=${y.toFixed(1)}>${text}</text>`;
+      }
+    }
+    return null;
+  });
+}
+
+/** What the looks of bars mean; `ahead` is the word for what is to come. */
+export const Keys = ({ ahead = "forecast" }) => [["b-done", "exposed"], ["b-next", ahead], ["b-stop", "closed for weather"], ["b-gone", "fault, or not known"]].map(([cls, text]) =>
+  html`<span class="key bar-key" key=${cls}><svg width="18" height="12" aria-hidden="true"><rect class=${cls} x="1" y="1" width="16" height="10" rx="2" /></svg>${text}</span>`);
 
 const bands = (t0, t1, site, X, y, height) => site && twilightOf(t0, t1, site).map((band) => html`<rect key=${band.from} class=${`tw-${band.kind}`} x=${X(band.from).toFixed(1)} y=${y} width=${(X(band.to) - X(band.from) + 0.6).toFixed(1)} height=${height} />`);
 
 /**
  * `rows`: windows with status; `plan`: rows of a forecast with `runs_utc` and `altitude_curve`; `report`: of the night; `verdicts`: intervals of the
- * verdict; `site`; `now`. Any may be absent. A phone begins with the hours around now.
+ * verdict; `site`; `now`; `target`: the present one, `{ name, row, ra, dec, from, to }`. Any may be absent. A phone begins with the hours around now.
  */
-export function Night({ rows = [], plan = [], report = null, verdicts = [], site, now, label = "The night" }) {
+export function Night({ rows = [], plan = [], report = null, verdicts = [], site, now, target = null, label = "The night" }) {
   const place = useRef(null);
   const hover = useSignal(null);
   const pick = useSignal(null);
@@ -127,24 +162,34 @@ export function Night({ rows = [], plan = [], report = null, verdicts = [], site
   const H = TOP + chart + 8 + lanes.length * LANE + FOOT;
   const laneY = (name) => TOP + chart + 8 + lanes.indexOf(name) * LANE;
   const path = (points) => points.map(([t, altitude], i) => (altitude === null ? "" : `${i && points[i - 1][1] !== null ? "L" : "M"}${X(t).toFixed(1)} ${Y(altitude).toFixed(1)}`)).join("");
-  const track = [];
-  if (site) for (let t = t0; t <= t1; t += 6e5) { const { alt } = altaz(moon(t), t, site); track.push([t, alt > 0 ? alt : null]); }
+  /** Its altitudes while it is up; `at(t)` is its place. */
+  const track = (at, from, to) => {
+    const out = [];
+    for (let t = Math.max(t0, from); site && t <= Math.min(t1, to); t += 3e5) { const { alt } = altaz(at(t), t, site); out.push([t, alt > 0 ? alt : null]); }
+    return out;
+  };
+  const luna = track(moon, t0, t1);
+  const present = target ? track(() => target, target.from, target.to) : [];
+  const curves = plan.filter((row) => row.altitude_curve?.length && row.row !== target?.row).map((row) => ({ name: words(row.object), points: row.altitude_curve.map((point) => [utc(point.at_utc), point.altitude_deg]).filter(([t]) => t >= t0 && t <= t1) }));
+  const inPx = (points) => points.filter(([, altitude]) => altitude !== null).map(([t, altitude]) => [X(t), Y(altitude)]);
+  const names = named([{ text: target?.name ?? "", points: inPx(present), cls: "h" }, { text: `Moon ${number(100 * moon(now).lit, 0)} %`, points: inPx(luna), cls: "c" }, ...curves.map(({ name, points }) => ({ text: name, points: inPx(points), cls: "c" }))], W - 6, TOP, X(now));
   const span = [t0, t1];
   const planned = rows.map((row) => ({ from: utc(row.start_utc), to: utc(row.end_utc), cls: row.status === "failed" ? "b-err" : "b-plan", texts: [words(row.object ?? row.action)], title: `${row.row + 1}. ${[row.action, row.object].filter(Boolean).join(" ")}, ${row.status}${row.detail ? `: ${row.detail}` : ""}` }));
   const ahead = plan.flatMap((row) => (row.runs_utc ?? []).filter(([, end]) => utc(end) > now).map(([a, b]) => ({ from: Math.max(now, utc(a)), to: utc(b), cls: "b-next", texts: [words(row.object ?? row.action)], title: `forecast: ${row.action} ${row.object ?? ""} ${hourMinute(a)} to ${hourMinute(b)}` })));
-  const judged = verdicts.map((one) => ({ from: utc(one.from_utc), to: one.until_utc ? utc(one.until_utc) : now, safe: one.verdict === "safe", title: `${one.verdict}${one.reasons?.length ? `: ${one.reasons.join("; ")}` : ""}` }));
+  const judged = verdicts.map((one) => ({ from: utc(one.from_utc), to: one.until_utc ? utc(one.until_utc) : now, safe: one.verdict === "safe", cls: "b-stop", texts: ["unsafe"], title: `${one.verdict}${one.reasons?.length ? `: ${one.reasons.join("; ")}` : ""}` }));
   const marks = [...(report?.focus_runs ?? []).map((one) => [utc(one.started_utc), "F", "focus run"]), ...(report?.alerts ?? []).filter((one) => ["critical", "high", "medium"].includes(one.priority)).map((one) => [utc(one.raised_utc), { critical: "▲", high: "◆", medium: "▼" }[one.priority], one.cause ?? one.id])].filter(([t]) => t >= t0 && t <= t1);
   const covers = (list) => { const found = list.find((one) => at >= one.from && at <= one.to); return found && (found.title ?? found.texts?.[0]); };
   const what = at === null ? "" : [covers(blocks) ?? covers(ahead) ?? done.find((piece) => at >= utc(piece.from_utc) && at <= utc(piece.to_utc))?.kind ?? covers(planned), covers(judged.filter((one) => !one.safe))].filter(Boolean).join(" · ");
   return html`<div class="tl look" tabindex="0" role="group" aria-label=${`${label}; arrow keys move the cursor, plus and minus zoom, 0 shows all`} onKeyDown=${view.press}><div ref=${place} class="touch" data-testid="timeline" data-from=${Math.round(t0)} data-to=${Math.round(t1)}>
     <svg viewBox=${`0 0 ${W} ${H}`} height=${H} role="img" aria-label=${`${label}: ${rows.map((row) => `${row.action} ${row.object ?? ""} ${hourMinute(row.start_utc)} to ${hourMinute(row.end_utc)}, ${row.status}`).join("; ")}`}>
     ${bands(t0, t1, site, X, TOP, H - TOP - FOOT)}
-    ${ticks(t0, t1, W - left).map((t) => html`<g key=${t}><path class="ax" d=${`M${X(t)} ${TOP}V${H - FOOT}`} /><text x=${X(t)} y=${H - 5} text-anchor="middle">${hourMinute(t)}</text></g>`)}<text x=${left - 8} y=${H - 5} text-anchor="end">UTC</text>
+    ${ticks(t0, t1, W - left).map((t) => html`<g key=${t}><path class="ax" d=${`M${X(t)} ${TOP}V${H - FOOT}`} />${X(t) > left + 14 && html`<text x=${X(t)} y=${H - 5} text-anchor="middle">${hourMinute(t)}</text>`}</g>`)}<text x=${left - 8} y=${H - 5} text-anchor="end">UTC</text>
     ${[0, 30, 60].map((altitude) => html`<text key=${altitude} x=${left - 8} y=${Y(altitude) + 4} text-anchor="end">${altitude ? `${altitude}°` : small ? "alt" : "altitude"}</text>`)}<path class="lim" d=${`M${left} ${Y(30)}H${W - 4}`} />
-    <path class="ln moonln" d=${path(track)} />${plan.filter((row) => row.altitude_curve?.length).map((row) => html`<path key=${row.row} class="ln s4" d=${path(row.altitude_curve.map((point) => [utc(point.at_utc), point.altitude_deg]).filter(([t]) => t >= t0 && t <= t1))}><title>${row.object ?? ""}</title></path>`)}
+    <path class="ln moonln" d=${path(luna)} />${curves.map(({ name, points }) => html`<path key=${name} class="ln s4" d=${path(points)}><title>${name}</title></path>`)}
+    ${target && html`<path class="ln s4" data-testid="present" d=${path(present)}><title>${target.name}</title></path><path class="ln s4 past" d=${path(present.filter(([t]) => t <= now))} />`}${names}
     ${lanes.map((name) => html`<text key=${name} x=${left - 8} y=${laneY(name) + 14} text-anchor="end">${name}</text>`)}
-    ${planned.map((one, i) => bar(one, X, span, laneY("plan"), `r${i}`))}${blocks.map((one, i) => bar(one, X, span, laneY("done"), `d${i}`))}${ahead.map((one, i) => bar(one, X, span, laneY("done"), `f${i}`))}
-    ${judged.map((one, i) => (one.safe ? one.to > t0 && one.from < t1 && html`<rect key=${`s${i}`} class="b-done" x=${X(Math.max(one.from, t0))} y=${laneY("safety") + 8} width=${Math.max(1, X(Math.min(one.to, t1)) - X(Math.max(one.from, t0)))} height="4" rx="2" />` : bar({ ...one, cls: "b-stop", texts: ["unsafe"] }, X, span, laneY("safety"), `s${i}`)))}
+    ${lane(planned, X, span, laneY("plan"))}${lane([...blocks, ...ahead], X, span, laneY("done"))}
+    ${judged.filter((one) => one.safe && one.to > t0 && one.from < t1).map((one, i) => html`<rect key=${`s${i}`} class="b-done" x=${X(Math.max(one.from, t0))} y=${laneY("safety") + 8} width=${Math.max(1, X(Math.min(one.to, t1)) - X(Math.max(one.from, t0)))} height="4" rx="2" />`)}${lane(judged.filter((one) => !one.safe), X, span, laneY("safety"))}
     ${done.filter((piece) => piece.group === "open_shutter" && utc(piece.from_utc) >= t0 && utc(piece.from_utc) <= t1).map((piece) => html`<path key=${piece.from_utc} class="fr" d=${`M${X(utc(piece.from_utc)).toFixed(1)} ${laneY("frames") + 5}v11`} />`)}
     ${marks.map(([t, sign, words], i) => html`<g key=${`m${i}`}><title>${`${clock(t)} ${words}`}</title><path class="mark" d=${`M${X(t)} ${TOP}V${H - FOOT}`} /><text class="h" x=${X(t)} y="17" text-anchor="middle">${sign}</text></g>`)}
     ${at !== null && at >= t0 && at <= t1 && html`<path class="cur" d=${`M${X(at)} ${TOP}V${H - FOOT}`} />`}
@@ -162,11 +207,11 @@ function Line({ id, neighbour, now, night, draw, y, onSite }) {
   const report = useReport(id, night).data;
   const done = useMemo(() => (report?.timeline ? blocksOf(report.timeline, rows) : null), [report, rows]);
   const silent = summary && !standing(summary).fresh;
-  const ahead = rows.filter((row) => ["pending", "running", "interrupted"].includes(row.status) && utc(row.end_utc) > now).map((row) => ({ from: Math.max(now, utc(row.start_utc)), to: utc(row.end_utc), cls: silent ? "b-gone" : "b-next", texts: [silent ? "nobody knows" : words(row.object ?? row.action)],
+  const ahead = rows.filter((row) => ["pending", "running", "interrupted"].includes(row.status) && utc(row.end_utc) > now).map((row) => ({ from: Math.max(now, utc(row.start_utc)), to: utc(row.end_utc), cls: silent ? "b-gone" : "b-next", texts: [silent ? "not known" : words(row.object ?? row.action)],
     title: `${row.action} ${row.object ?? ""} ${hourMinute(row.start_utc)} to ${hourMinute(row.end_utc)}` }));
   // Without a report of the archive the windows of finished rows stand for what was done.
   const past = done ?? rows.filter((row) => row.status === "finished" && row.object).map((row) => ({ from: utc(row.start_utc), to: Math.min(now, utc(row.end_utc)), cls: "b-plan", texts: [words(row.object)], title: `${row.object}, ${row.status}` }));
-  return html`<g data-testid="night-line" data-of=${id}>${bands(draw.t0, draw.t1, site, draw.X, y, 22)}${[...past, ...ahead].map((one, k) => bar(one, draw.X, [draw.t0, draw.t1], y + 1, k))}</g>`;
+  return html`<g data-testid="night-line" data-of=${id}>${bands(draw.t0, draw.t1, site, draw.X, y, 22)}${lane([...past, ...ahead], draw.X, [draw.t0, draw.t1], y + 1)}</g>`;
 }
 const NONE = [];
 

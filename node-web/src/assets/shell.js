@@ -2,6 +2,7 @@
 import { html, useEffect, useRef } from "./lib.js";
 import { CloseButton, Closing } from "./close.js";
 import { clock, day, duration } from "./format.js";
+import { inputWords } from "./inputs.js";
 import { choose, theme } from "./look.js";
 import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Words, isCalm, postureIcon, standing, summaryAge, totals, urgency } from "./parts.js";
 import { route } from "./route.js";
@@ -22,9 +23,6 @@ export function bySite(summaries = [...net.value.values()]) {
   }
   return sites;
 }
-
-/** An input of the verdict in words: `weather/WindSpeed` is "wind speed". */
-export const inputWords = (input) => String(input).split("/").pop().replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase();
 
 /** One word on what a telescope does. */
 export function doing(summary, now) {

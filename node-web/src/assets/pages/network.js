@@ -8,7 +8,7 @@ import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segm
 import { bySite, doing } from "../shell.js";
 import { ageOf, link, moment, net, quality, skyNow, skySpeed, tick, told, useTopic } from "../store.js";
 import { devicesOf, known } from "../devices.js";
-import { Nights } from "../night.js";
+import { Keys, Nights } from "../night.js";
 import { limitsOf } from "../inputs.js";
 
 /** Does it need somebody, and how urgently? */
@@ -118,7 +118,7 @@ function All({ telescopes }) {
 
 function NightOfAll({ telescopes }) {
   const now = moment.value;
-  return now !== null && html`<${Card} name="The night, all telescopes" testid="nights" end=${html`<span class="key">exposed</span><span class="key dash">planned</span><span class="desk">UTC; twilight of each site</span>`}><${Nights} telescopes=${telescopes} now=${now} night=${nightOf(now)} /><//>`;
+  return now !== null && html`<${Card} name="The night, all telescopes" testid="nights" end=${html`<${Keys} ahead="planned" /><span class="desk">twilight of each site</span>`}><${Nights} telescopes=${telescopes} now=${now} night=${nightOf(now)} /><//>`;
 }
 
 export function Network() {

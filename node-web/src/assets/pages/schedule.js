@@ -4,7 +4,7 @@ import { ask, useGet, useReport } from "../api.js";
 import { note } from "../close.js";
 import { useForecast } from "../forecast.js";
 import { clock, duration, hourMinute, nightOf, number } from "../format.js";
-import { Night } from "../night.js";
+import { Keys, Night } from "../night.js";
 import { Card, Dialog, Empty, Loaded, Table } from "../parts.js";
 import { RowForm, rowOf } from "../row.js";
 import { useSite } from "../site.js";
@@ -153,7 +153,7 @@ export function Schedule({ id }) {
   const report = useReport(id, skyNow() && nightOf(skyNow()));
   if (!entry) return html`<p class="m">No schedule received yet.</p>`;
   const { rows, file, revision, refused } = entry.body;
-  return html`<${Card} name="The night" end=${html`<span class="key">done</span><span class="key dash">forecast</span>`} cls="tl"><${Night} rows=${rows} plan=${plan?.rows} report=${report.data} site=${site} now=${skyNow()} /><//>
+  return html`<${Card} name="The night" end=${html`<${Keys} />`} cls="tl"><${Night} rows=${rows} plan=${plan?.rows} report=${report.data} site=${site} now=${skyNow()} /><//>
     ${refused && html`<div class="note p2"><span class="grow"><b>The file's newest text was not taken.</b> ${refused}</span></div>`}
     <${Card} name="Rows of tonight" flush end=${html`<span class="mono">${file}</span>, version ${revision} <button class="btn sm soft" onClick=${() => { editing.value = !editing.value; }}>${editing.value ? "Close the draft" : "Edit a draft"}</button>`}><${Rows} rows=${rows} plan=${plan} /><//>
     ${editing.value && html`<${Editor} id=${id} onDone=${() => { editing.value = false; }} />`}<${Revisions} id=${id} />`;

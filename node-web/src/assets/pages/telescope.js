@@ -5,17 +5,16 @@ import { Devices } from "../devicelist.js";
 import { devicesOf, exposure } from "../devices.js";
 import { clock, duration, hourMinute, nightOf, number, plain } from "../format.js";
 import { arrived, Picture } from "../image.js";
-import { Night } from "../night.js";
+import { Keys, Night } from "../night.js";
 import { useGet, useReport } from "../api.js";
 import { SkyMap } from "../sky.js";
 import { useSite } from "../site.js";
 import { useForecast } from "../forecast.js";
 import { Age, Card, Empty, Guard, Priority, Stat, Table, Time, standing } from "../parts.js";
 import { ageOf, quality, skyNow, skySpeed, tick, useTopic } from "../store.js";
-import { inputWords } from "../shell.js";
 import { useCorrections } from "../corrections.js";
 import { activity } from "../activity.js";
-import { inputValue } from "../inputs.js";
+import { inputValue, inputWords } from "../inputs.js";
 import { Webcams } from "../webcams.js";
 
 const body = (states, key) => states?.get(key)?.body;
@@ -146,7 +145,17 @@ function FramesCard({ id, summary, states }) {
   const night = skyNow() && nightOf(skyNow());
   const report = useReport(id, night);
   const spooled = devicesOf(states).filter((device) => device.kind === "camera").reduce((sum, device) => sum + (Number(device.fields.spooled) || 0), 0);
-  return html`<${Card} label="Frames" testid="frames-card"><header><h2><a href=${`/t/${id}/frames`}>Frames</a></h2><span class="end">night so far</span></header><div class="stats three"><${Stat} name="Taken" value=${report.data?.disk?.frames ?? summary.frames} /><${Stat} name="Refused" value=${report.data ? report.data.refused_frames?.length ?? 0 : null} /><${Stat} name="To archive" value=${spooled} /></div><//>`;
+  return html`<${Card} label="Frames" testid="frames-card"><header><h2><a href=${`/t/${id}/frames`}>Frames</a></h2><span class="end">night so far</span></header><div class="stats three"><${Stat} name="Taken" value=${report.data?.disk?.frames ?? summary.frames} /><${Stat} name="Refused" value=${report.data ? report.data.refused_frames?.length ?? 0 : null} /><${Stat} name="Not yet archived" value=${spooled} /></div><//>`;
+}
+
+/** The target of the row that runs: its place by its newest frame, else by where the mount points. */
+function targetOf(states, id) {
+  const row = rowsOf(states, id).running.find((one) => one.object);
+  if (!row) return null;
+  const frame = [...states].find(([key, { body: one }]) => key.startsWith(`${id}/device/camera/`) && key.endsWith("/frame") && one?.purpose?.object === row.object)?.[1].body.purpose;
+  const mount = devicesOf(states).find((device) => device.kind === "telescope" && device.worth === "fresh" && device.fields.tracking === true)?.fields;
+  const place = [frame, mount].find((one) => Number.isFinite(one?.ra_deg) && Number.isFinite(one?.dec_deg));
+  return place ? { name: String(row.object), row: row.row, ra: place.ra_deg, dec: place.dec_deg, from: Date.parse(row.start_utc), to: Date.parse(row.end_utc) } : null;
 }
 
 /** Past, now and forecast on one axis. */
