@@ -54,7 +54,7 @@ test("worst first in tiles, night and table; only those that need somebody are w
   assert.ok(heights.slice(0, 3).every((height) => height > 150) && heights.slice(3).every((height) => height < 60), String(heights));
   await press("Need you 3");
   await becomes(tiles, WORST);
-  await page.locator('[data-testid="lede"]', { hasText: /^taygete, ananke31 need you now\. amalthea44 needs you tonight\./ }).waitFor();
+  await page.locator('[data-testid="lede"]', { hasText: /^taygete, ananke31 need you now\. amalthea44 needs you later tonight\./ }).waitFor();
 });
 
 test("in no view and at no width does a part cover another, and the page does not scroll sideways", TEST, async () => {

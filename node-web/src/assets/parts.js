@@ -112,7 +112,8 @@ export function Words({ now, lg }) {
   return html`<span class="words" data-testid="words" data-safety=${now.safety} data-posture=${now.posture}>${wordCells(now, lg, false)}</span>`;
 }
 
-export const Mode = ({ now, summary }) => html`${now.mode !== "unknown" && html`<span class="mode">${String(now.mode).toUpperCase()}</span>`}${summary.simulated && html`<span class="mode sim">SIMULATION</span>`}`;
+export const Mode = ({ now }) => (now.mode === "unknown" ? null : html`<span class="mode">${String(now.mode).toUpperCase()}</span>`);
+export const Simulated = ({ summary }) => (summary.simulated ? html`<span class="mode sim">SIMULATION</span>` : null);
 
 /** An age that ticks, with the word for what it is worth: seconds, or what gives them where it is drawn without its surroundings. */
 export function Age({ s, worth, never = "not received yet", after = "" }) {

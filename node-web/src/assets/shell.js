@@ -4,7 +4,7 @@ import { CloseButton, Closing } from "./close.js";
 import { clock, day, duration } from "./format.js";
 import { inputWords } from "./inputs.js";
 import { choose, theme } from "./look.js";
-import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Words, isCalm, postureIcon, standing, summaryAge, totals, urgency } from "./parts.js";
+import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Simulated, Words, isCalm, postureIcon, standing, summaryAge, totals, urgency } from "./parts.js";
 import { route } from "./route.js";
 import { fault, link, lostAt, net, roundTrip, skyNow, skySpeed, tick, version } from "./store.js";
 import { leave, me } from "./user.js";
@@ -85,9 +85,10 @@ function Top({ title }) {
 /** `night of 20 Nov`, named by its evening: UTC noon divides. */
 export const nightName = (utc) => `night of ${day(utc - 12 * 3600e3).split(" ").slice(1).join(" ")}`;
 
-/** The worst that needs somebody, of all telescopes. */
-function worst() {
+/** The worst that needs somebody, of all telescopes: what the bar at the top says, and whose Close it has; null while it says that there is no link. */
+export function worst() {
   let found = null;
+  if (link.value === "lost") return found;
   for (const summary of net.value.values()) {
     const now = standing(summary);
     const alert = summary.alerts?.find((one) => !isCalm(one));
@@ -113,8 +114,8 @@ function Banner() {
   const found = worst();
   return html`${me.value?.insecure_open && html`<div class="banner p2" role="alert"><${Priority} word="high" /><p class="grow"><b>This server is open to everybody.</b> <span class="m">Whoever reaches it may order everything. Make users: <code>starmesh user add</code>.</span></p></div>`}
     ${found && html`<div class=${`banner ${found.rank === 2 ? "p2" : ""}`} role="alert" data-testid="banner"><${Priority} word=${PRIORITIES[found.rank - 1]} />
-      <p class="grow"><a href=${`/t/${found.summary.id}`}><b>${found.summary.telescope_id}: ${found.alert?.cause ?? alarm(found.summary, found.now)}</b></a> <span class="m desk">${found.alert?.consequence ?? ""}</span></p>
-      <span class="end"><a class="btn sm soft desk" href="/alerts">What to do</a>${!found.summary.shared && html`<${CloseButton} id=${found.summary.id} sm named />`}</span></div>`}`;
+      <p class="grow call"><a href=${`/t/${found.summary.id}`}><b>${found.summary.telescope_id}: ${found.alert?.cause ?? alarm(found.summary, found.now)}</b></a> <span class="m desk">${found.alert?.consequence ?? ""}</span></p>
+      <span class="end"><a class="btn sm soft" href="/alerts">What to do</a>${!found.summary.shared && route.value.id !== found.summary.id && html`<${CloseButton} id=${found.summary.id} sm named />`}</span></div>`}`;
 }
 
 /** The head of each page of a telescope: its two words, Close at a fixed place, its pages. */
@@ -126,7 +127,7 @@ export function TelescopeHead({ summary }) {
     const current = tabs.current.querySelector("[aria-current]");
     if (current) tabs.current.scrollLeft = current.offsetLeft - tabs.current.offsetLeft - 40;
   }, [page]);
-  return html`<header class="scope"><div class="scope-h"><h1 tabindex="-1">${summary.telescope_id}</h1>${!summary.shared && html`<${Words} now=${now} lg /><${Mode} now=${now} summary=${summary} />`}<span class="grow"></span>
+  return html`<header class="scope"><div class="scope-h"><h1 tabindex="-1">${summary.telescope_id}</h1>${!summary.shared && html`<${Simulated} summary=${summary} /><span class="break"></span><${Words} now=${now} lg /><${Mode} now=${now} />`}<span class="grow"></span>
       <${Age} s=${() => summaryAge(summary)} worth=${now.worth} after=" ago" />${!summary.shared && html`<${CloseButton} id=${id} named cls="desk" />`}</div>
     <nav class="tabs" ref=${tabs} aria-label=${summary.telescope_id}>${TELESCOPE_PAGES.map(([name, word]) => html`<a key=${name} href=${name === "now" ? `/t/${id}` : `/t/${id}/${name}`} aria-current=${page === name ? "page" : null}>${word}</a>`)}</nav></header>`;
 }

@@ -5,6 +5,7 @@ import { CloseButton, note } from "../close.js";
 import { clock, duration } from "../format.js";
 import { Card, Counts, Dialog, Empty, Guard, Priority, PRIORITIES, Segment, isCalm, priorityNumber } from "../parts.js";
 import { link, net, skyNow, tick, useTopic } from "../store.js";
+import { worst } from "../shell.js";
 import { Webcams } from "../webcams.js";
 
 /** Words of an alert's kind: `dome-not-closed/dome` is "Dome not closed". */
@@ -55,7 +56,7 @@ function Alert({ alert }) {
     <div class="body"><div class="t">${kindWords(alert.id)}</div><div class="w"><a href=${`/t/${alert.telescope}`}>${alert.telescope}</a> <span class="mono mm">${alert.id}</span></div>
       ${calm ? html`<div class="m">${alert.cause} ${fate(alert)}.</div>` : html`<dl><dt>Cause</dt><dd>${alert.cause}</dd><dt>Consequence</dt><dd>${alert.consequence}</dd><dt>Do</dt><dd><b>${alert.action}</b></dd></dl>`}</div>
     <div class="due">raised ${since(alert.raised_utc)}</div>
-    <div class="row wrap go">${n <= 2 && telescope && !telescope.shared && html`<${CloseButton} id=${alert.telescope} filled=${n === 1} />`}
+    <div class="row wrap go">${n <= 2 && !calm && telescope && !telescope.shared && html`<${CloseButton} id=${alert.telescope} filled=${n === 1} cls=${worst()?.summary.id === alert.telescope ? "desk" : ""} />`}
       ${!alert.acknowledged_by && html`<button type="button" class="btn soft" onClick=${() => order(alert.telescope, "ack", { alert: alert.id }, "")}>Acknowledge</button>`}
       ${!calm && html`<button type="button" class="btn quiet" onClick=${() => { shelving.value = true; }}>Shelve</button>`}
       <a class="btn quiet" href=${`/t/${alert.telescope}/log?at=${encodeURIComponent(alert.raised_utc)}`}>Log of that minute</a></div>

@@ -4,8 +4,8 @@ import { activity } from "../activity.js";
 import { CloseButton } from "../close.js";
 import { clock, duration, nightOf, number } from "../format.js";
 import { arrived, Picture } from "../image.js";
-import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segment, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, summaryAge, urgency } from "../parts.js";
-import { bySite, doing } from "../shell.js";
+import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segment, Simulated, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, summaryAge, urgency } from "../parts.js";
+import { bySite, doing, worst } from "../shell.js";
 import { ageOf, link, moment, net, quality, skyNow, skySpeed, tick, told, useTopic } from "../store.js";
 import { devicesOf, known } from "../devices.js";
 import { Keys, Nights } from "../night.js";
@@ -18,21 +18,20 @@ const rank = (summary) => { const now = standing(summary); return urgency(summar
 
 /** Does it wait for an input of its verdict? */
 const closedFor = (summary) => { const now = standing(summary); return now.fresh && !summary.activity?.length && now.safety !== "safe"; };
-/** The network in one sentence: who needs somebody, and what the others do. */
+/** The network in a few words: who needs somebody now, who later tonight, what can wait till tomorrow, and what the others do. */
 function Lede({ telescopes }) {
-  const names = (list) => list.map((one) => one.telescope_id).join(", ");
-  const now = telescopes.filter((one) => urgency(one) <= 2);
-  const later = telescopes.filter((one) => urgency(one) === 3);
+  const who = (list, verb) => `${list.map((one) => one.telescope_id).join(", ")} ${list.length > 1 ? verb : { need: "needs", have: "has" }[verb]}`;
+  const [now, later, tomorrow] = [(level) => level <= 2, (level) => level === 3, (level) => level === 4].map((is) => telescopes.filter((one) => is(urgency(one))));
   const rest = telescopes.filter((one) => urgency(one) > 3);
   const counts = new Map();
   for (const one of rest) { const does = closedFor(one) ? `waiting for ${doing(one, standing(one))}` : doing(one, standing(one)); counts.set(does, (counts.get(does) ?? 0) + 1); }
   if (link.value === "lost") return html`<p class="lede grow" data-testid="lede"><b>Who needs you is not known: there is no link.</b> What follows is how it was.</p>`;
-  return html`<p class="lede grow" data-testid="lede">${now.length ? html`<b>${names(now)} ${now.length > 1 ? "need" : "needs"} you now.</b> ` : html`<b>Nothing needs you.</b> `}${later.length ? `${names(later)} ${later.length > 1 ? "need" : "needs"} you tonight. ` : ""}
-    ${[...counts].map(([does, n]) => `${n} ${does}`).join(", ")}${counts.size ? "." : ""}</p>`;
+  return html`<p class="lede grow" data-testid="lede"><b>${now.length ? `${who(now, "need")} you now.` : `Nothing needs you${later.length ? " now" : ""}.`}</b> ${later.length > 0 && `${who(later, "need")} you later tonight. `}${tomorrow.length > 0 && `${who(tomorrow, "have")} something that can wait till tomorrow. `}
+    ${[...counts].map(([does, n]) => `${n} ${n > 1 ? does.replace(/^waits/, "wait") : does}`).join(", ")}${counts.size ? "." : ""}</p>`;
 }
 
-/** One telescope; `brief` where its view has no room for an image unless it needs somebody. */
-function Tile({ summary, brief }) {
+/** One telescope; `brief` where its view has no room for an image unless it needs somebody, `called` where the bar at the top has its Close. */
+function Tile({ summary, brief, called }) {
   const now = standing(summary);
   const [what, sub] = activity(summary, now);
   const level = urgency(summary, now);
@@ -43,14 +42,14 @@ function Tile({ summary, brief }) {
   return html`<article class=${`tile ${now.fresh && !summary.activity?.length && level > 3 ? "rest" : ""}`} data-level=${level <= 3 ? `p${level}` : null} data-testid="tile" data-telescope=${summary.id} data-safety=${now.safety}
     data-posture=${now.posture} data-mode=${now.mode} data-quality=${now.worth}>
     <a class="cover" href=${`/t/${summary.id}`} aria-label=${`${summary.telescope_id}: ${what}`}></a>
-    <div class="tile-h"><${Icon} name=${postureIcon(now.posture)} /><b>${summary.telescope_id}</b><span class="site cut">${summary.site_id}</span><span class="end">${level <= 3 && html`<${Priority} word=${PRIORITIES[level - 1]} />`}</span></div>
-    <div class="row between wrap"><${Words} now=${now} /><${Mode} now=${now} summary=${summary} /></div>
+    <div class="tile-h"><${Icon} name=${postureIcon(now.posture)} /><b>${summary.telescope_id}</b><span class="site cut">${summary.site_id}</span><span class="end"><${Simulated} summary=${summary} />${level <= 3 && html`<${Priority} word=${PRIORITIES[level - 1]} />`}</span></div>
+    <div class="row between wrap"><${Words} now=${now} /><${Mode} now=${now} /></div>
     <div class=${`do ${image ? "" : "plain"}`}><div class="what">${what}</div><div class="sub">${top && level <= 3 ? top.cause : sub}</div>${image && html`<span class="thumb"><${Picture} image=${image} /></span>`}</div>
     <div class="stats"><${Stat} name="Guide" value=${figures.guide_rms_arcsec != null ? number(figures.guide_rms_arcsec, 2) : null} unit="″" worth=${worth} /><${Stat} name="FWHM" value=${figures.fwhm_arcsec != null ? number(figures.fwhm_arcsec, 2) : null} unit="″" worth=${worth} />
       <${Stat} name="Rows" value=${summary.schedule ? `${summary.schedule.finished}/${summary.schedule.rows}` : null} worth=${worth} /><${Stat} name="Frames" value=${summary.frames} worth=${worth} /></div>
     ${summary.unreadable?.length > 0 && html`<p class="ink-p2" data-unreadable=${summary.unreadable.length}>◆ ${summary.unreadable.length} ${summary.unreadable.length > 1 ? "payloads" : "payload"} cannot be read: ${summary.unreadable[0].key}</p>`}
     <div class="tile-f"><${Age} s=${() => summaryAge(summary)} worth=${now.worth} after=" ago" />${summary.device_count?.lost > 0 && html`<span class="ink-p3">${summary.device_count.lost} of ${summary.device_count.known} devices silent</span>`}
-      <${CloseButton} id=${summary.id} filled=${level === 1} sm /></div></article>`;
+      <${CloseButton} id=${summary.id} filled=${level === 1} sm cls=${called ? "desk" : ""} /></div></article>`;
 }
 
 /**
@@ -128,11 +127,12 @@ export function Network() {
   if (!telescopes.length) return html`<h1 class="vh" tabindex="-1">Network</h1>${told.value ? html`<${Empty} icon="scope" title="No telescope on the bus yet">Telescopes appear here by themselves when their nodes start.<//>` : html`<p class="m">Connecting …</p>`}`;
   const kinds = { all: () => true, need: needs, open: isOpen, wait: (one) => !one.activity?.length && !needs(one) };
   const chosen = view.value ?? (telescopes.length > 16 ? "compact" : "cards");
+  const called = worst()?.summary.id;
   return html`<div class="page-h"><h1 class="vh" tabindex="-1">Network</h1><${Lede} telescopes=${telescopes} /></div>
     <div class="sites" tabindex="0" role="group" aria-label="Sites">${[...bySite(telescopes)].map(([site, here]) => html`<${Guard} name=${site} key=${site}><${Site} site=${site} telescopes=${here} /><//>`)}</div>
     <div class="row wrap chips-x">${[["all", "All"], ["need", "Need you"], ["open", "Open"], ["wait", "Waiting"]].map(([kind, word]) => html`<button key=${kind} class="chip" aria-pressed=${String(show.value === kind)} onClick=${() => { show.value = kind; }}>${word} <i>${telescopes.filter(kinds[kind]).length}</i></button>`)}
       <span class="grow"></span><span class="tagline desk">Worst first</span><${Segment} label="View" options=${[["cards", "Cards"], ["compact", "Compact"]]} value=${chosen} onChange=${(value) => { view.value = value; }} /></div>
-    <div class="tiles" data-view=${chosen === "compact" ? "compact" : null}>${telescopes.filter(kinds[show.value]).map((one) => html`<${Guard} name=${one.telescope_id} key=${one.id}><${Tile} summary=${one} brief=${chosen === "compact"} /><//>`)}</div>
+    <div class="tiles" data-view=${chosen === "compact" ? "compact" : null}>${telescopes.filter(kinds[show.value]).map((one) => html`<${Guard} name=${one.telescope_id} key=${one.id}><${Tile} summary=${one} brief=${chosen === "compact"} called=${one.id === called} /><//>`)}</div>
     <${NightOfAll} telescopes=${telescopes} />
     <${All} telescopes=${telescopes} />`;
 }
