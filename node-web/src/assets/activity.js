@@ -13,6 +13,6 @@ export function activity(summary, now) {
   const { reasons = [], time_to_safe_s: wait } = summary.safety ?? {};
   // The words of the server, which `starmesh status` prints too.
   const cause = sentence(summary.now || "nothing under way");
-  return [cause, now.safety !== "safe" && reasons.length ? `${inputWords(reasons[0].input)}: ${reasons[0].why}${wait ? `. Opens in ${duration(wait)} at the earliest` : ""}.` : ""];
+  return [cause, now.safety !== "safe" && reasons.length ? `${sentence(inputWords(reasons[0].input))}: ${reasons[0].why}${wait ? `. Opens in ${duration(wait)} at the earliest` : ""}.` : ""];
 }
 const sentence = (word) => { const plain = String(word).replaceAll("_", " "); return { object: "Observing" }[word] ?? plain[0].toUpperCase() + plain.slice(1); };

@@ -1,7 +1,7 @@
 // Pieces that many pages show: icons, words, ages, values, cards. Their looks are those of starmesh.css.
 import { Component, computed, html, useEffect, useRef, useSignal } from "./lib.js";
 import { clock, duration } from "./format.js";
-import { link, quality, tick } from "./store.js";
+import { link, quality, skySpeed, tick } from "./store.js";
 
 export const Icon = ({ name, cls = "" }) => html`<svg class=${`i ${cls}`} aria-hidden="true"><use href=${`#i-${name}`} /></svg>`;
 export const Shape = ({ n }) => html`<svg class="sh" aria-hidden="true"><use href=${`#sh${n}`} /></svg>`;
@@ -115,6 +115,12 @@ export function Words({ now, lg }) {
 export const Mode = ({ now }) => (now.mode === "unknown" ? null : html`<span class="mode">${String(now.mode).toUpperCase()}</span>`);
 export const Simulated = ({ summary }) => (summary.simulated ? html`<span class="mode sim">SIMULATION</span>` : null);
 
+/** Beside ages while the simulated sky runs faster than this clock: ages are seconds of this one, and all other times are the sky's. */
+export const realTime = () => (skySpeed() === 1 ? "" : ", real time");
+
+/** Devices that do not answer though the action under way needs them, each with how long. */
+export const Missing = ({ of }) => of.map((device) => html`<span class="ink-p2 missing" key=${device.key} data-testid="missing" data-device=${`${device.kind}/${device.name}`}><${Shape} n=2 />${device.name} has not answered for ${duration(device.silent)}${realTime()}</span>`);
+
 /** An age that ticks, with the word for what it is worth: seconds, or what gives them where it is drawn without its surroundings. */
 export function Age({ s, worth, never = "not received yet", after = "" }) {
   tick.value; // eslint-disable-line no-unused-expressions
@@ -122,7 +128,7 @@ export function Age({ s, worth, never = "not received yet", after = "" }) {
   if (s === null || s === undefined) return html`<span class="age" data-quality="lost">${never}</span>`;
   if (worth === "fresh" && link.value !== "live") worth = "stale";
   const words = { fresh: "", ageing: "", stale: "stale ", lost: "lost " }[worth] ?? "";
-  return html`<span class="age" data-quality=${worth} data-age-s=${Math.floor(s)}>${words}${duration(s)}${after}</span>`;
+  return html`<span class="age" data-quality=${worth} data-age-s=${Math.floor(s)}>${words}${duration(s)}${after}${after && realTime()}</span>`;
 }
 
 /** A value with its name and unit. `worth` is its quality; what is lost is a dash. */

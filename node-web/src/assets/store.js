@@ -92,6 +92,8 @@ export const moment = computed(() => {
 
 /** Age of something received, s. */
 export const ageOf = (entry) => (performance.now() - entry.since) / 1000;
+/** The same by the sky's clock, for what counts down in sky time. */
+export const skyAgeOf = (entry) => ageOf(entry) * skySpeed();
 
 /** What an age is worth; nothing is fresh while the link is lost. The server judges by the same rule. */
 export function quality(age, period) {
@@ -101,7 +103,8 @@ export function quality(age, period) {
 }
 
 /**
- * The data of a topic while a component is shown. Of `tel/SITE/TELESCOPE`: a map of `{ body, at_utc, period_s, since }` by key; of topics with
+ * The data of a topic while a component is shown. Of `tel/SITE/TELESCOPE`: a map of `{ body, at_utc, period_s, since, lostAt }` by key, the last since
+ * when a device's link is seen to be lost; of topics with
  * `items`: a map by id; of `log…` and `frames/…`: a list, newest first. `null` until its first message.
  */
 export function useTopic(name) {
@@ -218,7 +221,7 @@ function items(before, op, data, now) {
 
 function states(before, op, data, now) {
   const after = op === "snap" ? new Map() : new Map(before);
-  for (const [key, entry] of Object.entries(data.states ?? {})) after.set(key, { ...entry, since: now - entry.age_s * 1000 });
+  for (const [key, entry] of Object.entries(data.states ?? {})) after.set(key, { ...entry, since: now - entry.age_s * 1000, lostAt: entry.body?.link?.is === "lost" ? before?.get(key)?.lostAt ?? now : null });
   for (const key of data.gone ?? []) after.delete(key);
   for (const [key, [age, utc]] of Object.entries(data.again ?? {})) {
     if (after.has(key)) after.set(key, { ...after.get(key), since: now - age * 1000, at_utc: utc });

@@ -5,8 +5,8 @@ import { CloseButton, note } from "../close.js";
 import { Field, title, valuesOf } from "../form.js";
 import { clock, duration } from "../format.js";
 import { Card, Dialog, Icon, Loaded, Table, standing } from "../parts.js";
-import { ageOf, tick, useTopic } from "../store.js";
-import { inputValue } from "../inputs.js";
+import { skyAgeOf, tick, useTopic } from "../store.js";
+import { Input, inputValue } from "../inputs.js";
 import { me } from "../user.js";
 
 const HOLD_MS = 1500;
@@ -84,8 +84,8 @@ function MayOpen({ id }) {
   const { inputs = [], reasons = [] } = entry.body;
   const why = new Map(reasons.map((reason) => [reason.input, reason]));
   const left = entry.body.time_to_safe_s;
-  return html`<${Card} name="May the dome open?" end=${entry.body.verdict === "safe" ? "yes" : html`<b class="ink-p2">no, ${reasons.length} of ${Math.max(inputs.length, reasons.length)}</b>`}><ul class="locks">${inputs.map((input) => html`<li key=${input.input} class=${why.has(input.input) ? "no" : ""}><${Icon} name=${why.has(input.input) ? "x" : "check"} />${input.input}<span class="v">${why.get(input.input)?.why ?? inputValue(input)}</span></li>`)}
-    ${reasons.filter((reason) => !inputs.some((input) => input.input === reason.input)).map((reason) => html`<li key=${reason.input} class="no"><${Icon} name="x" />${reason.input}<span class="v">${reason.why}</span></li>`)}</ul>${left != null && entry.body.verdict !== "safe" && html`<p class="m">At the earliest in ${duration(Math.max(0, left - ageOf(entry)))}.</p>`}<//>`;
+  return html`<${Card} name="May the dome open?" end=${entry.body.verdict === "safe" ? "yes" : html`<b class="ink-p2">no, ${reasons.length} of ${Math.max(inputs.length, reasons.length)}</b>`}><ul class="locks">${inputs.map((input) => html`<li key=${input.input} class=${why.has(input.input) ? "no" : ""}><${Icon} name=${why.has(input.input) ? "x" : "check"} /><${Input} input=${input.input} /><span class="v">${why.get(input.input)?.why ?? inputValue(input)}</span></li>`)}
+    ${reasons.filter((reason) => !inputs.some((input) => input.input === reason.input)).map((reason) => html`<li key=${reason.input} class="no"><${Icon} name="x" /><${Input} input=${reason.input} /><span class="v">${reason.why}</span></li>`)}</ul>${left != null && entry.body.verdict !== "safe" && html`<p class="m">At the earliest in ${duration(Math.max(0, left - skyAgeOf(entry)))}.</p>`}<//>`;
 }
 
 export function Controls({ id, summary }) {

@@ -4,10 +4,10 @@ import { Chart, pointsOf } from "../chart.js";
 import { devicesOf, known } from "../devices.js";
 import { clock, duration, number } from "../format.js";
 import { SPANS, useHistory } from "../history.js";
-import { PARAMETERS, inputValue, limitsOf } from "../inputs.js";
-import { Age, Bullet, Card, Empty, Guard, Loaded, Segment, Table, Time, Words, standing } from "../parts.js";
+import { Input, PARAMETERS, inputValue, limitsOf } from "../inputs.js";
+import { Age, Bullet, Card, Empty, Guard, Loaded, Segment, Table, Time, Words, realTime, standing } from "../parts.js";
 import { bySite } from "../shell.js";
-import { ageOf, net, quality, skyNow, tick, useTopic } from "../store.js";
+import { ageOf, net, quality, skyAgeOf, skyNow, tick, useTopic } from "../store.js";
 import { Webcams } from "../webcams.js";
 
 /** What has these units is shown from nothing on. */
@@ -21,13 +21,13 @@ function unsafeTimes(safety, t0, now) {
 
 function Reasons({ id, summary, entry }) {
   const now = standing(summary);
-  const since = entry ? ageOf(entry) : 0;
+  const since = entry ? skyAgeOf(entry) : 0;
   const reasons = entry?.body.reasons ?? [];
   const sky = skyNow();
   return html`<${Card} name="Safety" testid="reasons" end=${entry && html`since <${Time} utc=${entry.body.since_utc} />`}><div class="row"><${Words} now=${now} lg /></div>
     ${!entry ? html`<p class="m">No verdict received yet.</p>` : reasons.length ? html`<${Table} label="Reasons" columns=${[{ key: "i", name: "Reason" }, { key: "w", name: "Why" }, { key: "c", name: "Can clear", num: true }]} rows=${reasons} keyOf=${(reason) => reason.input}
-      cells=${(reason) => { const left = reason.clears_in_s == null ? null : Math.max(0, reason.clears_in_s - since); return html`<td class="k">${reason.input}</td><td>${reason.why}</td><td class="num">${left === null ? "not known" : html`<b>${clock(sky + left * 1000)}</b>, in ${duration(left)}`}</td>`; }} />` : html`<p class="m">Every input of the verdict is good.</p>`}
-    ${(entry?.body.advisories ?? []).map((advice) => html`<p class="note p3" key=${advice.input}><b>${advice.input}</b> ${advice.why}</p>`)}<//>`;
+      cells=${(reason) => { const left = reason.clears_in_s == null ? null : Math.max(0, reason.clears_in_s - since); return html`<td class="k"><${Input} input=${reason.input} /></td><td>${reason.why}</td><td class="num">${left === null ? "not known" : html`<b>${clock(sky + left * 1000)}</b>, in ${duration(left)}`}</td>`; }} />` : html`<p class="m">Every input of the verdict is good.</p>`}
+    ${(entry?.body.advisories ?? []).map((advice) => html`<p class="note p3" key=${advice.input}><b><${Input} input=${advice.input} /></b> ${advice.why}</p>`)}<//>`;
 }
 
 function Station({ id, device, inputs, safety }) {
@@ -63,8 +63,8 @@ export function Weather({ id, summary }) {
   const entry = states?.get(`${id}/observatory/safety/state`);
   const inputs = entry?.body.inputs ?? [];
   const stations = devicesOf(states).filter((device) => device.kind === "observingconditions");
-  return html`${!summary.shared && html`<div class="grid g-side"><${Reasons} id=${id} summary=${summary} entry=${entry} /><${Card} name="Inputs" flush><${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: "Age", num: true }]} rows=${inputs} keyOf=${(input) => input.input}
-      cells=${(input) => html`<td class="k">${input.good ? "" : "▼ "}${input.input}</td><td>${inputValue(input)}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} never="never" /></td>`} /><//></div>`}
+  return html`${!summary.shared && html`<div class="grid g-side"><${Reasons} id=${id} summary=${summary} entry=${entry} /><${Card} name="Inputs" flush><${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: `Age${realTime()}`, num: true }]} rows=${inputs} keyOf=${(input) => input.input}
+      cells=${(input) => html`<td class="k">${input.good ? "" : "▼ "}<${Input} input=${input.input} /></td><td>${inputValue(input)}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} never="never" /></td>`} /><//></div>`}
     <${Guard} name="Webcams"><${Webcams} of=${[{ site: summary.site_id, telescope: summary.shared ? null : summary.telescope_id }]} /><//>
     ${stations.length ? stations.map((device) => html`<${Station} key=${device.key} id=${id} device=${device} inputs=${inputs} safety=${entry?.body} />`) : html`<${Empty} icon="cloud" title="No weather station">None of this telescope or its site is on the bus.<//>`}`;
 }
@@ -74,7 +74,7 @@ export function AllWeather() {
   tick.value; // eslint-disable-line no-unused-expressions
   return html`<div class="page-h"><h1 tabindex="-1">Weather</h1></div>${[...bySite([...net.value.values()])].map(([site, telescopes]) => html`<section key=${site} class="stack" aria-label=${site}><h2>${site}</h2><div class="grid g3">${telescopes.map((summary) => {
     const now = standing(summary);
-    return html`<section class="card" key=${summary.id}><header><h2><a href=${`/t/${summary.id}/weather`}>${summary.telescope_id}</a></h2></header><${Words} now=${now} />${(summary.safety?.reasons ?? []).map((reason) => html`<p key=${reason.input}><b>${reason.input}</b> ${reason.why}</p>`)}
+    return html`<section class="card" key=${summary.id}><header><h2><a href=${`/t/${summary.id}/weather`}>${summary.telescope_id}</a></h2></header><${Words} now=${now} />${(summary.safety?.reasons ?? []).map((reason) => html`<p key=${reason.input}><b><${Input} input=${reason.input} /></b> ${reason.why}</p>`)}
       ${summary.safety?.time_to_safe_s != null && now.safety === "unsafe" && html`<p class="m">Safe at the earliest in ${duration(summary.safety.time_to_safe_s)}.</p>`}<p><a class="btn sm soft" href=${`/t/${summary.id}/weather`}>Limits and history</a></p></section>`;
   })}</div><${Guard} name="Webcams"><${Webcams} of=${[{ site }]} /><//></section>`)}`;
 }
