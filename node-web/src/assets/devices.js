@@ -1,6 +1,6 @@
 // What an observer asks first of each kind of device: words of state, then values. The inspector has everything.
 import { declination, duration, number, plain, rightAscension } from "./format.js";
-import { ageOf, quality, skyNow } from "./store.js";
+import { ageOf, quality, skyNow, skySpeed, useTopic } from "./store.js";
 
 /** Is there a value, and not the reason of its absence? */
 export const known = (value) => value !== null && value !== undefined && !(typeof value === "object" && "no_data" in value);
@@ -16,7 +16,7 @@ export const KINDS = {
     values: (f) => [when(f.azimuth_deg, (v) => [`${number(v)}°`, "az"]), f.at_park === true && ["parked", ""]] },
   camera: { icon: "camera", state: (f) => when(f.activity, word) ?? "not known",
     values: (f) => [when(f.ccd_c, (v) => [number(v), "°C"]), when(f.set_c, (v) => [number(v), "°C wanted"]), when(f.cooler_percent, (v) => [number(v, 0), "% cooler"]), f.cooler_on === false && ["off", "cooler"],
-      when(f.spool_free_bytes, (v) => [(v / 1e9).toFixed(0), "GB spool free"]), f.spooled ? [f.spooled, "to archive"] : null] },
+      when(f.spool_free_bytes, (v) => [(v / 1e9).toFixed(0), "GB spool free"]), f.spooled ? [f.spooled, "not yet archived"] : null] },
   filterwheel: { icon: "wheel", state: (f) => when(f.filter, word) ?? f.position?.no_data ?? "turning", values: (f) => [when(f.position, (v) => [v, "slot"])] },
   focuser: { icon: "focus", state: (f) => (f.moving === true ? "moving" : known(f.position) ? "still" : "not known"), values: (f) => [when(f.position, (v) => [v.toLocaleString("en").replaceAll(",", " "), "steps"]), when(f.temperature_c, (v) => [number(v), "°C"])] },
   rotator: { icon: "clock", state: (f) => (f.moving === true ? "moving" : known(f.position_deg) ? "still" : "not known"), values: (f) => [when(f.position_deg, (v) => [`${number(v, 2)}°`, "sky"]), when(f.mechanical_deg, (v) => [`${number(v, 2)}°`, "mechanical"])] },
@@ -27,23 +27,39 @@ export const KINDS = {
   safetymonitor: { icon: "safe", state: (f) => when(f.is_safe, (v) => (v ? "says safe" : "says UNSAFE")) ?? "not known", values: (f) => [f.gapless_safe_s ? [duration(f.gapless_safe_s), "without a break"] : null] },
 };
 
-/** The devices among the states of a telescope's topic, in the order of the table above, shared ones last. */
+/** The devices among the states of a telescope's topic, in the order of the table above, shared ones last; `silent` is how long one that is lost has not answered, s. */
 export function devicesOf(states) {
   const order = Object.keys(KINDS);
   return [...(states ?? [])].filter(([key]) => /^[^/]+\/[^/]+\/device\/[^/]+\/[^/]+\/state$/.test(key)).map(([key, entry]) => {
     const [site, telescope, , kind, name] = key.split("/");
     const age = ageOf(entry);
     const lost = entry.body?.link?.is === "lost";
-    return { key, site, telescope, kind, name, entry, body: entry.body ?? {}, fields: entry.body?.fields ?? {}, age, worth: lost ? "lost" : quality(age, entry.period_s), lost, about: states.get(key.replace(/state$/, "capabilities"))?.body,
+    return { key, site, telescope, kind, name, entry, body: entry.body ?? {}, fields: entry.body?.fields ?? {}, age, worth: lost ? "lost" : quality(age, entry.period_s), lost, silent: lost ? (performance.now() - entry.lostAt) / 1000 : age, about: states.get(key.replace(/state$/, "capabilities"))?.body,
       icon: KINDS[kind]?.icon ?? "plug" };
   }).sort((a, b) => Number(a.telescope === "shared") - Number(b.telescope === "shared") || order.indexOf(a.kind) - order.indexOf(b.kind) || a.name.localeCompare(b.name));
 }
 
 /** Its state in words. */
 export function stateWords(device) {
-  if (device.lost) return "no link";
+  if (device.worth === "lost") return device.lost ? "does not answer" : "silent";
   if (device.body.link?.is === "connecting") return "connecting";
   return (KINDS[device.kind]?.state(device.fields) ?? "") || (device.body.busy ? "busy" : "ready");
+}
+
+/** Kinds of devices that an action needs, if not all that point and expose. */
+const NEEDS = { cool_camera: ["camera"], calibration: ["camera", "filterwheel"], open: ["dome", "telescope", "covercalibrator"], close: ["dome", "telescope", "covercalibrator"], complete_headers: [] };
+const ALL = ["telescope", "dome", "camera", "filterwheel", "focuser", "rotator", "covercalibrator"];
+
+/** The devices that the action under way needs and that do not answer; `states` where the page has those of the telescope. */
+export function useMissing(summary, now, states = null) {
+  const asked = useTopic(!states && summary.device_count?.lost > 0 ? `tel/${summary.id}/device` : null);
+  const [action] = now.fresh ? summary.activity ?? [] : [];
+  const needs = action ? NEEDS[action.action] ?? ALL : [];
+  return devicesOf(states ?? asked).filter((device) => device.worth === "lost" && device.telescope !== "shared" && needs.includes(device.kind) && (device.kind !== "camera" || !action.camera || device.name === action.camera)).map((device) => {
+    const alert = `device-lost/${device.kind}/${device.name}`;
+    const raised = summary.alerts?.find((one) => one?.id === alert)?.raised_utc;
+    return { ...device, alert, silent: Math.max(device.silent, raised ? (skyNow() - Date.parse(raised)) / 1000 / skySpeed() : 0) };
+  });
 }
 
 /** Pairs of value and unit. */

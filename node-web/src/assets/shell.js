@@ -4,7 +4,7 @@ import { CloseButton, Closing } from "./close.js";
 import { clock, day, duration } from "./format.js";
 import { inputWords } from "./inputs.js";
 import { choose, theme } from "./look.js";
-import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Simulated, Words, isCalm, postureIcon, standing, summaryAge, totals, urgency } from "./parts.js";
+import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Simulated, Words, isCalm, postureIcon, realTime, standing, summaryAge, totals, urgency } from "./parts.js";
 import { route } from "./route.js";
 import { fault, link, lostAt, net, roundTrip, skyNow, skySpeed, tick, version } from "./store.js";
 import { leave, me } from "./user.js";
@@ -29,7 +29,8 @@ export function doing(summary, now) {
   if (now.never) return "silent";
   if (!now.fresh) return now.worth;
   if (summary.activity?.length) return { object: "observing", cool_camera: "cooling", autofocus: "focus", calibration: "darks" }[summary.activity[0].action] ?? String(summary.activity[0].action).replaceAll("_", " ");
-  if (now.safety !== "safe") return inputWords(summary.safety?.reasons?.[0]?.input ?? "unsafe");
+  const [reason] = summary.safety?.reasons ?? [];
+  if (now.safety !== "safe") return reason ? `waits for ${inputWords(reason.input)}` : "unsafe";
   return summary.ended ? "night over" : "waiting";
 }
 
@@ -43,7 +44,7 @@ function Rail() {
       const now = standing(summary);
       const worst = urgency(summary, now);
       return html`<a key=${summary.id} class=${`nav tel ${summary.activity?.length && now.fresh ? "works" : ""}`} href=${`/t/${summary.id}`} aria-current=${id === summary.id ? "page" : null} data-testid="rail-telescope">
-        <${Icon} name=${postureIcon(now.posture)} /><span class="nm cut">${summary.telescope_id}</span><span class="end"><span>${doing(summary, now)}</span>${worst < 4 && html`<span class=${`ink-p${worst}`} title=${PRIORITIES[worst - 1]}><${Shape} n=${worst} /></span>`}</span></a>`;
+        <${Icon} name=${postureIcon(now.posture)} /><span class="nm cut">${summary.telescope_id}</span><span class="end"><span class="cut" title=${doing(summary, now)}>${doing(summary, now)}</span>${worst < 4 && html`<span class=${`ink-p${worst}`} title=${PRIORITIES[worst - 1]}><${Shape} n=${worst} /></span>`}</span></a>`;
     })}`)}
     <div class="foot"><div class="seg lbl" role="group" aria-label="Theme">${[["dark", "Dark"], ["night", "Night"], ["light", "Light"]].map(([value, word]) =>
       html`<button key=${value} type="button" data-set-theme=${value} aria-pressed=${String(theme.value === value)} onClick=${() => choose("theme", value)}>${word}</button>`)}</div>
@@ -100,7 +101,7 @@ export function worst() {
 
 /** Why a telescope whose two words are alarming is so, in one sentence. */
 export function alarm(summary, now) {
-  if (!now.fresh) return [summary.now || `Nothing has come from its observatory node for ${duration(summaryAge(summary))}`, ...now.domes].join(". ");
+  if (!now.fresh) return [summary.now || `Nothing has come from its observatory node for ${duration(summaryAge(summary))}${realTime()}`, ...now.domes].join(". ");
   if (now.posture === "unknown") return "Whether its dome is closed is not known.";
   return `${now.safety.toUpperCase()} and ${String(now.posture).toUpperCase()}.`;
 }

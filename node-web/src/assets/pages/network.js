@@ -4,27 +4,25 @@ import { activity } from "../activity.js";
 import { CloseButton } from "../close.js";
 import { clock, duration, nightOf, number } from "../format.js";
 import { arrived, Picture } from "../image.js";
-import { Age, Bullet, Card, Empty, Guard, Icon, Mode, Priority, PRIORITIES, Segment, Simulated, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, summaryAge, urgency } from "../parts.js";
+import { Age, Bullet, Card, Empty, Guard, Icon, Missing, Mode, Priority, PRIORITIES, Segment, Simulated, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, realTime, summaryAge, urgency } from "../parts.js";
 import { bySite, doing, worst } from "../shell.js";
 import { ageOf, link, moment, net, quality, skyNow, skySpeed, tick, told, useTopic } from "../store.js";
-import { devicesOf, known } from "../devices.js";
+import { devicesOf, known, useMissing } from "../devices.js";
 import { Keys, Nights } from "../night.js";
-import { limitsOf } from "../inputs.js";
+import { inputWords, limitsOf } from "../inputs.js";
 
 /** Does it need somebody, and how urgently? */
 const needs = (summary) => urgency(summary) <= 3;
 const isOpen = (summary) => ["open", "opening", "closing"].includes(standing(summary).posture);
 const rank = (summary) => { const now = standing(summary); return urgency(summary, now) * 10 + (now.fresh ? (summary.activity?.length ? 1 : 2) : 0); };
 
-/** Does it wait for an input of its verdict? */
-const closedFor = (summary) => { const now = standing(summary); return now.fresh && !summary.activity?.length && now.safety !== "safe"; };
 /** The network in a few words: who needs somebody now, who later tonight, what can wait till tomorrow, and what the others do. */
 function Lede({ telescopes }) {
   const who = (list, verb) => `${list.map((one) => one.telescope_id).join(", ")} ${list.length > 1 ? verb : { need: "needs", have: "has" }[verb]}`;
   const [now, later, tomorrow] = [(level) => level <= 2, (level) => level === 3, (level) => level === 4].map((is) => telescopes.filter((one) => is(urgency(one))));
   const rest = telescopes.filter((one) => urgency(one) > 3);
   const counts = new Map();
-  for (const one of rest) { const does = closedFor(one) ? `waiting for ${doing(one, standing(one))}` : doing(one, standing(one)); counts.set(does, (counts.get(does) ?? 0) + 1); }
+  for (const one of rest) { const does = doing(one, standing(one)); counts.set(does, (counts.get(does) ?? 0) + 1); }
   if (link.value === "lost") return html`<p class="lede grow" data-testid="lede"><b>Who needs you is not known: there is no link.</b> What follows is how it was.</p>`;
   return html`<p class="lede grow" data-testid="lede"><b>${now.length ? `${who(now, "need")} you now.` : `Nothing needs you${later.length ? " now" : ""}.`}</b> ${later.length > 0 && `${who(later, "need")} you later tonight. `}${tomorrow.length > 0 && `${who(tomorrow, "have")} something that can wait till tomorrow. `}
     ${[...counts].map(([does, n]) => `${n} ${n > 1 ? does.replace(/^waits/, "wait") : does}`).join(", ")}${counts.size ? "." : ""}</p>`;
@@ -33,6 +31,7 @@ function Lede({ telescopes }) {
 /** One telescope; `brief` where its view has no room for an image unless it needs somebody, `called` where the bar at the top has its Close. */
 function Tile({ summary, brief, called }) {
   const now = standing(summary);
+  const missing = useMissing(summary, now);
   const [what, sub] = activity(summary, now);
   const level = urgency(summary, now);
   const image = !(brief && level > 3) && !(/** @type {any} */ (navigator).connection?.saveData) && arrived(summary);
@@ -44,11 +43,11 @@ function Tile({ summary, brief, called }) {
     <a class="cover" href=${`/t/${summary.id}`} aria-label=${`${summary.telescope_id}: ${what}`}></a>
     <div class="tile-h"><${Icon} name=${postureIcon(now.posture)} /><b>${summary.telescope_id}</b><span class="site cut">${summary.site_id}</span><span class="end"><${Simulated} summary=${summary} />${level <= 3 && html`<${Priority} word=${PRIORITIES[level - 1]} />`}</span></div>
     <div class="row between wrap"><${Words} now=${now} /><${Mode} now=${now} /></div>
-    <div class=${`do ${image ? "" : "plain"}`}><div class="what">${what}</div><div class="sub">${top && level <= 3 ? top.cause : sub}</div>${image && html`<span class="thumb"><${Picture} image=${image} /></span>`}</div>
+    <div class=${`do ${image ? "" : "plain"}`}><div class="what">${what}</div><div class="sub">${top && level <= 3 && !missing.some((device) => device.alert === top.id) ? top.cause : sub} <${Missing} of=${missing} /></div>${image && html`<span class="thumb"><${Picture} image=${image} /></span>`}</div>
     <div class="stats"><${Stat} name="Guide" value=${figures.guide_rms_arcsec != null ? number(figures.guide_rms_arcsec, 2) : null} unit="″" worth=${worth} /><${Stat} name="FWHM" value=${figures.fwhm_arcsec != null ? number(figures.fwhm_arcsec, 2) : null} unit="″" worth=${worth} />
       <${Stat} name="Rows" value=${summary.schedule ? `${summary.schedule.finished}/${summary.schedule.rows}` : null} worth=${worth} /><${Stat} name="Frames" value=${summary.frames} worth=${worth} /></div>
     ${summary.unreadable?.length > 0 && html`<p class="ink-p2" data-unreadable=${summary.unreadable.length}>◆ ${summary.unreadable.length} ${summary.unreadable.length > 1 ? "payloads" : "payload"} cannot be read: ${summary.unreadable[0].key}</p>`}
-    <div class="tile-f"><${Age} s=${() => summaryAge(summary)} worth=${now.worth} after=" ago" />${summary.device_count?.lost > 0 && html`<span class="ink-p3">${summary.device_count.lost} of ${summary.device_count.known} devices silent</span>`}
+    <div class="tile-f"><${Age} s=${() => summaryAge(summary)} worth=${now.worth} after=" ago" />${summary.device_count?.lost > 0 && html`<span class="ink-p3">${summary.device_count.known - summary.device_count.lost} of ${summary.device_count.known} devices answer</span>`}
       <${CloseButton} id=${summary.id} filled=${level === 1} sm cls=${called ? "desk" : ""} /></div></article>`;
 }
 
@@ -80,13 +79,13 @@ function Site({ site, telescopes }) {
       const limit = limitOf(property);
       return html`<dt>${label}</dt><dd><${Bullet} value=${v} from=${from} to=${to} limit=${limit?.v} over=${limit && v !== null && v > limit.v} /></dd><dd class="v">${v === null || v === undefined ? "—" : html`<b>${number(v, digits)}</b>`} ${limit && html`<span class="desk">of ${number(limit.v, digits)}</span>`} ${unit}</dd>`;
     })}</dl>` : html`<p class="tagline">No weather station of this site is on the bus.</p>`}
-    <div class="tagline">${station && quality(ageOf(station.entry), station.entry.period_s) !== "fresh" ? html`<span class="ink-stale">Station silent for ${duration(station.age)}</span>` : wait && now.safety === "unsafe" && skyNow() !== null
-      ? html`Safe at the earliest ${clock(skyNow() + wait * 1000)} UTC, <b class="nw">in ${duration(wait)}</b>` : now.safety === "unsafe" ? summary.safety?.reasons?.[0]?.why ?? "" : `${telescopes.length} ${telescopes.length > 1 ? "telescopes" : "telescope"}${skySpeed() !== 1 ? ", simulated" : ""}`}</div></section>`;
+    <div class="tagline">${station && quality(ageOf(station.entry), station.entry.period_s) !== "fresh" ? html`<span class="ink-stale">Station silent for ${duration(station.age)}${realTime()}</span>` : wait && now.safety === "unsafe" && skyNow() !== null
+      ? html`Safe at the earliest ${clock(skyNow() + wait * 1000)} UTC, <b class="nw">in ${duration(wait)}</b>` : now.safety === "unsafe" ? (summary.safety?.reasons ?? []).slice(0, 1).map((reason) => `Waits for ${inputWords(reason.input)}: ${reason.why}`) : `${telescopes.length} ${telescopes.length > 1 ? "telescopes" : "telescope"}${skySpeed() !== 1 ? ", simulated" : ""}`}</div></section>`;
 }
 
-const COLUMNS = [{ key: "name", name: "Telescope", sort: (one) => one.telescope_id }, { key: "site", name: "Site", cls: "hidep", sort: (one) => one.site_id }, { key: "safety", name: "Safety", sort: (one) => rank(one) }, { key: "dome", name: "Dome", sort: (one) => standing(one).posture },
+const columns = () => [{ key: "name", name: "Telescope", sort: (one) => one.telescope_id }, { key: "site", name: "Site", cls: "hidep", sort: (one) => one.site_id }, { key: "safety", name: "Safety", sort: (one) => rank(one) }, { key: "dome", name: "Dome", sort: (one) => standing(one).posture },
   { key: "does", name: "Does", sort: (one) => doing(one, standing(one)) }, { key: "target", name: "Target", cls: "hidep", sort: (one) => one.activity?.[0]?.object }, { key: "guide", name: "Guide ″", num: true, cls: "hidep", sort: (one) => one.figures?.guide_rms_arcsec }, { key: "fwhm", name: "FWHM ″", num: true, cls: "hidep", sort: (one) => one.figures?.fwhm_arcsec },
-  { key: "frames", name: "Frames", num: true, cls: "hidep", sort: (one) => one.frames }, { key: "rows", name: "Rows", num: true, cls: "hidep", sort: (one) => one.schedule?.finished }, { key: "age", name: "Age", num: true, sort: summaryAge }, { key: "alert", name: "Alert", sort: (one) => urgency(one) }];
+  { key: "frames", name: "Frames", num: true, cls: "hidep", sort: (one) => one.frames }, { key: "rows", name: "Rows", num: true, cls: "hidep", sort: (one) => one.schedule?.finished }, { key: "age", name: `Age${realTime()}`, num: true, sort: summaryAge }, { key: "alert", name: "Alert", sort: (one) => urgency(one) }];
 
 /** What calls for somebody; else what somebody has seen already. */
 function Called({ summary, level }) {
@@ -103,7 +102,7 @@ const cells = (one) => {
   const figure = (value) => (now.fresh && value != null ? number(value, 2) : "—");
   const [first] = one.activity ?? [];
   const [safety, dome] = wordCells(now);
-  return html`<td class="k"><a href=${`/t/${one.id}`}><${Icon} name=${postureIcon(now.posture)} />${one.telescope_id}</a></td><td class="hidep">${one.site_id}</td><td>${safety}</td><td>${dome}</td><td>${now.fresh && !first && now.safety !== "safe" ? `waits for ${doing(one, now)}` : doing(one, now)}</td><td class="hidep cut" title=${first?.object}>${first?.object ? html`<b>${first.object}</b>` : "—"}</td>
+  return html`<td class="k"><a href=${`/t/${one.id}`}><${Icon} name=${postureIcon(now.posture)} />${one.telescope_id}</a></td><td class="hidep">${one.site_id}</td><td>${safety}</td><td>${dome}</td><td>${doing(one, now)}</td><td class="hidep cut" title=${first?.object}>${first?.object ? html`<b>${first.object}</b>` : "—"}</td>
     <td class="num hidep"><b>${figure(one.figures?.guide_rms_arcsec)}</b></td><td class="num hidep"><b>${figure(one.figures?.fwhm_arcsec)}</b></td><td class="num hidep">${one.frames}</td><td class="num hidep">${one.schedule ? `${one.schedule.finished}/${one.schedule.rows}` : "—"}</td><td class="num"><${Age} s=${() => summaryAge(one)} worth=${now.worth} never="never" /></td><td><${Called} summary=${one} level=${level} /></td>`;
 };
 
@@ -112,7 +111,7 @@ function All({ telescopes }) {
   const text = useSignal("");
   const shown = telescopes.filter((one) => `${one.id} ${activity(one, standing(one)).join(" ")}`.toLowerCase().includes(text.value.toLowerCase()));
   return html`<${Card} name="All telescopes" flush end=${html`${text.value && html`<span class="m">${shown.length} of ${telescopes.length}</span>`}<label class="in"><${Icon} name="search" /><input type="search" placeholder="Filter" aria-label="Filter telescopes" onInput=${(event) => { text.value = event.target.value; }} /><kbd>/</kbd></label>`}>
-    <${Table} label="All telescopes" cls="net cards" columns=${COLUMNS} rows=${shown} sorted=${BY_SAFETY} keyOf=${(one) => one.id} rowProps=${rowProps} cells=${cells} /><//>`;
+    <${Table} label="All telescopes" cls="net cards" columns=${columns()} rows=${shown} sorted=${BY_SAFETY} keyOf=${(one) => one.id} rowProps=${rowProps} cells=${cells} /><//>`;
 }
 
 function NightOfAll({ telescopes }) {
@@ -126,8 +125,8 @@ export function Network() {
   const telescopes = [...net.value.values()].filter((one) => !one.shared).sort((a, b) => rank(a) - rank(b) || a.id.localeCompare(b.id));
   if (!telescopes.length) return html`<h1 class="vh" tabindex="-1">Network</h1>${told.value ? html`<${Empty} icon="scope" title="No telescope on the bus yet">Telescopes appear here by themselves when their nodes start.<//>` : html`<p class="m">Connecting …</p>`}`;
   const kinds = { all: () => true, need: needs, open: isOpen, wait: (one) => !one.activity?.length && !needs(one) };
-  const chosen = view.value ?? (telescopes.length > 16 ? "compact" : "cards");
   const called = worst()?.summary.id;
+  const chosen = view.value ?? (telescopes.length > 16 ? "compact" : "cards");
   return html`<div class="page-h"><h1 class="vh" tabindex="-1">Network</h1><${Lede} telescopes=${telescopes} /></div>
     <div class="sites" tabindex="0" role="group" aria-label="Sites">${[...bySite(telescopes)].map(([site, here]) => html`<${Guard} name=${site} key=${site}><${Site} site=${site} telescopes=${here} /><//>`)}</div>
     <div class="row wrap chips-x">${[["all", "All"], ["need", "Need you"], ["open", "Open"], ["wait", "Waiting"]].map(([kind, word]) => html`<button key=${kind} class="chip" aria-pressed=${String(show.value === kind)} onClick=${() => { show.value = kind; }}>${word} <i>${telescopes.filter(kinds[kind]).length}</i></button>`)}

@@ -2,7 +2,7 @@
 import { html, useMemo } from "../lib.js";
 import { Chart, broken } from "../chart.js";
 import { Devices } from "../devicelist.js";
-import { devicesOf, exposure } from "../devices.js";
+import { devicesOf, exposure, useMissing } from "../devices.js";
 import { clock, duration, hourMinute, nightOf, number, plain } from "../format.js";
 import { arrived, Picture } from "../image.js";
 import { Keys, Night } from "../night.js";
@@ -10,11 +10,11 @@ import { useGet, useReport } from "../api.js";
 import { SkyMap } from "../sky.js";
 import { useSite } from "../site.js";
 import { useForecast } from "../forecast.js";
-import { Age, Card, Empty, Guard, Priority, Stat, Table, Time, standing } from "../parts.js";
-import { ageOf, quality, skyNow, skySpeed, tick, useTopic } from "../store.js";
+import { Age, Card, Empty, Guard, Missing, Priority, Stat, Table, Time, realTime, standing } from "../parts.js";
+import { ageOf, quality, skyAgeOf, skyNow, skySpeed, tick, useTopic } from "../store.js";
 import { useCorrections } from "../corrections.js";
 import { activity } from "../activity.js";
-import { inputValue, inputWords } from "../inputs.js";
+import { Input, inputValue, inputWords } from "../inputs.js";
 import { Webcams } from "../webcams.js";
 
 const body = (states, key) => states?.get(key)?.body;
@@ -28,15 +28,15 @@ function rowsOf(states, id) {
 /** What keeps it closed, or would: `{ what, why, at }` each, with the sky time (ms) at which it can clear at the earliest, or in words until when it holds. */
 function holds(summary, states, id, sky) {
   const safety = states?.get(`${id}/observatory/safety/state`);
-  const since = safety ? ageOf(safety) : 0;
+  const since = safety ? skyAgeOf(safety) : 0;
   const orders = body(states, `${id}/observatory/operator-orders/state`) ?? {};
   const lease = body(states, `${id}/observatory/lease/state`);
-  const out = (safety?.body.reasons ?? summary.safety?.reasons ?? []).map((reason) => ({ what: inputWords(reason.input), input: reason.input, why: reason.why, at: reason.clears_in_s == null ? null : sky + Math.max(0, reason.clears_in_s - since) * 1000, until: "nobody knows when" }));
+  const out = (safety?.body.reasons ?? summary.safety?.reasons ?? []).map((reason) => ({ what: inputWords(reason.input), input: reason.input, why: reason.why, at: reason.clears_in_s == null ? null : sky + Math.max(0, reason.clears_in_s - since) * 1000 }));
   if (orders.stay_closed) out.push({ what: "an order", why: `${orders.stay_closed.from} closed it at ${clock(orders.stay_closed.at_utc)}${orders.stay_closed.reason ? `: ${orders.stay_closed.reason}` : ""}`, until: "somebody orders open-again or start" });
   if (orders.control) out.push({ what: "control", why: `${orders.control.from} took it from the schedule at ${clock(orders.control.at_utc)}${orders.control.reason ? `: ${orders.control.reason}` : ""}`, until: "somebody orders start" });
   if (summary.mode === "manual") out.push({ what: "robotic mode", why: "it is switched off", until: "somebody orders robotic-on" });
-  if (lease && !lease.holder) out.push({ what: "command", why: "nobody commands it", until: "an observatory node claims it" });
-  for (const [key, entry] of states ?? []) if (key.endsWith("/guard") && entry.body?.hold) out.push({ what: key.split("/")[4], why: "its device node closed it by itself, and opens for nobody", until: "its commander resumes" });
+  if (lease && !lease.holder) out.push({ what: "command", why: "nobody commands it", until: "an observatory node takes command" });
+  for (const [key, entry] of states ?? []) if (key.endsWith("/guard") && entry.body?.hold) out.push({ what: key.split("/")[4], why: "its device node closed it by itself, and opens for nobody", until: "the node in command goes on" });
   const { rows, next } = rowsOf(states, id);
   const isDue = rows.some((row) => ["running", "interrupted", "pending"].includes(row.status) && Date.parse(row.start_utc) <= sky && Date.parse(row.end_utc) > sky);
   if (rows.length && !isDue) out.push(next ? { what: "the schedule", why: `no row is due before ${[next.action, next.object].filter(Boolean).join(" ")}`, at: Date.parse(next.start_utc) } : { what: "the schedule", why: "no row is left", until: "another schedule is put in force" });
@@ -46,7 +46,7 @@ function holds(summary, states, id, sky) {
 /** Each reason with the time at which it can clear, the last one first: that is the one that it waits for. */
 function Holds({ list, sky, open }) {
   const sorted = [...list].sort((a, b) => (b.at ?? Infinity) - (a.at ?? Infinity));
-  return html`<div data-testid="reasons"><div class="tagline">${open ? "Ought to be closed because of" : "Keeps it closed"}</div><ul class="holds">${sorted.map((one) => html`<li key=${one.input ?? one.what}><b title=${one.input ?? null}>${one.what}</b><span>${one.why}</span><span class="m end">${one.at ? html`can clear <b>${clock(one.at)}</b>, <span class="nw">in ${duration((one.at - sky) / 1000)}</span>` : `until ${one.until}`}</span></li>`)}</ul></div>`;
+  return html`<div data-testid="reasons"><div class="tagline">${open ? "Ought to be closed because of" : "Keeps it closed"}</div><ul class="holds">${sorted.map((one) => html`<li key=${one.input ?? one.what}><b title=${one.input ?? null}>${one.what}</b><span>${one.why}</span><span class="m end">${one.at ? html`can clear <b>${clock(one.at)}</b>, <span class="nw">in ${duration((one.at - sky) / 1000)}</span>` : one.until ? `until ${one.until}` : "when it can clear is not known"}</span></li>`)}</ul></div>`;
 }
 
 /** By when the step should have ended, counted down; beyond it, by how much it is late. Under a sky that runs faster than the machine
@@ -60,6 +60,7 @@ function Expected({ by, sky }) {
 function Doing({ id, summary, states }) {
   const now = standing(summary);
   const [what, sub] = activity(summary, now);
+  const missing = useMissing(summary, now, states);
   const { rows, running, next } = rowsOf(states, id);
   const row = running[0];
   const camera = summary.activity?.[0]?.camera;
@@ -68,12 +69,12 @@ function Doing({ id, summary, states }) {
   const list = now.fresh && (now.posture !== "open" || now.safety !== "safe") ? holds(summary, states, id, sky) : [];
   const times = list.map((one) => one.at ?? null);
   const earliest = times.length && !times.includes(null) ? Math.max(...times) : null;
-  const why = !now.fresh ? "Not known while the observatory node is silent." : row ? `Row ${row.row + 1} of ${rows.length}${row.detail ? `: ${row.detail}` : ""}.` : list.length ? `${list.length} ${list.length > 1 ? "reasons keep" : "reason keeps"} it closed; they are below.` : summary.mode === "robotic" ? "No row may run now." : `It is ${summary.mode}.`;
+  const why = !now.fresh ? "Not known while the observatory node is silent." : row ? `Row ${row.row + 1} of ${rows.length}${row.detail ? `: ${row.detail}` : ""}.` : list.length ? `${list.length > 1 ? `${list.length} reasons keep it closed; they are` : "One reason keeps it closed; it is"} below.` : summary.mode === "robotic" ? "No row may run now." : `It is ${summary.mode}.`;
   const until = row ? html`<b>${hourMinute(row.end_utc)} UTC</b>, in ${duration((Date.parse(row.end_utc) - (skyNow() ?? Date.parse(row.end_utc))) / 1000)}${row.frames_wanted ? `, ${Math.max(0, row.frames_wanted - row.frames)} frames more` : ""}.` : earliest ? html`<b>${clock(earliest)} UTC</b> at the earliest, in ${duration((earliest - sky) / 1000)}.` : list.length ? "Not known: see below." : "—";
   const after = rows.find((one) => one.status === "interrupted" && Date.parse(one.end_utc) > sky) ?? next;
   const then = after ? ` Then ${[after.action, after.object].filter(Boolean).join(" ")}${after.status === "interrupted" ? " goes on" : ` at ${hourMinute(after.start_utc)}`}.` : "";
   const waits = !now.fresh ? "Not known." : list.length ? `${list.map((one) => one.what).join(", ").replace(/^./, (first) => first.toUpperCase())}.${then}` : row ? `Nothing.${next ? ` Next: ${[next.action, next.object].filter(Boolean).join(" ")} at ${hourMinute(next.start_utc)}.` : ""}` : next ? `${next.action} at ${hourMinute(next.start_utc)}.` : "Nothing.";
-  return html`<section class="card stack" aria-label="Now" data-testid="now"><div class="row start wrap"><div class="grow"><div class="tagline">Does</div><div class="row base wrap"><span class="big">${what}</span><span class="m">${sub}</span>${now.fresh && html`<${Expected} by=${summary.activity?.[0]?.expected_by_utc} sky=${sky} />`}</div></div>
+  return html`<section class="card stack" aria-label="Now" data-testid="now"><div class="row start wrap"><div class="grow"><div class="tagline">Does</div><div class="row base wrap"><span class="big">${what}</span><span class="m">${sub}</span><${Missing} of=${missing} />${now.fresh && html`<${Expected} by=${summary.activity?.[0]?.expected_by_utc} sky=${sky} />`}</div></div>
       ${light && html`<div class="light"><div class="row between"><span class="m">this frame</span><span><b>${number(light.passed, 0)}</b> <span class="m">of ${plain(light.total)} s</span></span></div><div class="bar lg lit"><i style=${{ width: `${(light.part * 100).toFixed(1)}%` }}></i></div></div>`}</div>
     <div class="grid g3"><div><div class="tagline">Why</div><div>${why}</div></div><div><div class="tagline">Until</div><div>${until}</div></div><div><div class="tagline">Waits for</div><div>${waits}</div></div></div>
     ${list.length > 0 && html`<${Holds} list=${list} sky=${sky} open=${now.posture !== "closed"} />`}
@@ -86,35 +87,42 @@ function Doing({ id, summary, states }) {
 function Verdict({ id, summary, states }) {
   const entry = states?.get(`${id}/observatory/safety/state`);
   if (!entry) return html`<${Card} name="Safety"><p class="m">No verdict received yet.</p><//>`;
-  const since = ageOf(entry);
+  const [since, skySince] = [ageOf(entry), skyAgeOf(entry)];
   const { suspended = [], advisories = [], inputs = [], since_utc: at } = entry.body;
   return html`<${Card} name="Safety" flush testid="safety" end=${html`${entry.body.verdict} since <${Time} utc=${at} />`}>
     ${[["No exposures of the sky", suspended], ["Near a limit", advisories]].map(([lead, list]) => list.length > 0 && html`<ul class="reasons" key=${lead}><li class="tagline">${lead}</li>${list.map((reason) =>
-      html`<li key=${reason.input}><b>${reason.input}</b> ${reason.why} ${reason.clears_in_s != null && html`<span class="m nw">can clear in ${duration(Math.max(0, reason.clears_in_s - since))}</span>`}</li>`)}</ul>`)}
-    <${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: "Age", num: true }]} rows=${inputs} keyOf=${(input) => input.input}
-      cells=${(input) => html`<td class="k">${input.input}</td><td>${inputValue(input)}${input.good ? "" : html` <b class="ink-p3">▼ unsafe</b>`}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + since} worth=${quality(since, entry.period_s)} never="never" /></td>`} /><//>`;
+      html`<li key=${reason.input}><b><${Input} input=${reason.input} /></b> ${reason.why} ${reason.clears_in_s != null && html`<span class="m nw">can clear in ${duration(Math.max(0, reason.clears_in_s - skySince))}</span>`}</li>`)}</ul>`)}
+    <${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: `Age${realTime()}`, num: true }]} rows=${inputs} keyOf=${(input) => input.input}
+      cells=${(input) => html`<td class="k"><${Input} input=${input.input} /></td><td>${inputValue(input)}${input.good ? "" : html` <b class="ink-p3">▼ unsafe</b>`}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + since} worth=${quality(since, entry.period_s)} never="never" /></td>`} /><//>`;
 }
 
 function Image({ summary, states, id }) {
   const shown = arrived(summary);
+  const newest = body(states, `${id}/observatory/frame/facts`);
+  // The picture of a frame may come after the facts of the next one; then the archive knows those of this one.
+  const isNewest = newest?.frame === shown?.frame;
+  const asked = useGet(shown && !isNewest && !(newest?.started_utc < shown.started_utc) ? `/api/v1/telescopes/${id}/frames/${encodeURIComponent(shown.frame)}` : null, 10);
   if (!shown) return html`<${Card} name="Last image"><${Empty} icon="image" title="No frame yet" /><//>`;
-  const facts = body(states, `${id}/observatory/frame/facts`);
-  const mine = facts?.frame === shown.frame ? facts : {};
-  const age = ageOf(shown);
-  return html`<${Card} name="Last image" end=${html`<span class="age">${clock(shown.started_utc)}, <${Age} s=${age} worth="fresh" /></span>`}>
+  const mine = (isNewest ? newest : asked.data?.facts) ?? {};
+  const fwhm = mine.fwhm_px == null ? [null] : mine.scale_arcsec_px == null ? [number(mine.fwhm_px), "px"] : [number(mine.fwhm_px * mine.scale_arcsec_px, 2), "″"];
+  const age = (skyNow() - Date.parse(shown.started_utc)) / 1000 - shown.exposure_s;
+  return html`<${Card} name="Last image" end=${html`<span class="age" data-testid="image-age">${clock(shown.started_utc)}, ${duration(age)} ago</span>`}>
     <a href=${`/t/${id}/frames/${encodeURIComponent(shown.frame)}`} class="img" aria-label="Open the last frame"><${Picture} image=${shown} /></a>
     <p class="tagline">${[shown.object ?? shown.image_type, shown.filter ?? "no filter", `${plain(shown.exposure_s)} s`, shown.camera].join(" · ")}</p>
-    <div class="stats four"><${Stat} name="FWHM" value=${mine.fwhm_px != null ? number(mine.fwhm_px) : null} unit="px" /><${Stat} name="Stars" value=${mine.stars} /><${Stat} name="Sky" value=${mine.sky_adu != null ? number(mine.sky_adu, 0) : null} unit="ADU" /><${Stat} name="Trailed" value=${mine.trailed == null ? null : mine.trailed ? "yes" : "no"} level=${mine.trailed ? "p3" : null} /></div>
+    <div class="stats four"><${Stat} name="FWHM" value=${fwhm[0]} unit=${fwhm[1]} /><${Stat} name="Stars" value=${mine.stars} /><${Stat} name="Sky" value=${mine.sky_adu != null ? number(mine.sky_adu, 0) : null} unit=${mine.sky_adu != null && "ADU"} /><${Stat} name="Trailed" value=${mine.trailed == null ? null : mine.trailed ? "yes" : "no"} level=${mine.trailed ? "p3" : null} /></div>
     ${(mine.reason || shown.problem) && html`<p class="m">${mine.reason ?? shown.problem}</p>`}<//>`;
 }
+
+/** `observatory/alpha/main` in words. */
+const nodeWords = (name) => { const [role, telescope, id] = String(name).split("/"); return `the ${role} node of ${telescope}${id === "main" ? "" : `, ${id}`}`; };
 
 function Command({ id, states }) {
   const lease = states?.get(`${id}/observatory/lease/state`);
   const guards = [...(states ?? [])].filter(([key]) => key.endsWith("/guard"));
-  return html`<${Card} name="Command and guard">
-    ${lease ? html`<p>${lease.body.holder ? html`<b>${lease.body.holder}</b> commands, token ${lease.body.token}, granted by ${lease.body.arbiter}` : "Nobody commands"} · <${Age} s=${ageOf(lease)} worth=${quality(ageOf(lease), lease.period_s)} /></p>` : html`<p class="m">No lease received yet.</p>`}
-    ${guards.map(([key, entry]) => html`<p key=${key}><b>${key.split("/")[4]}</b> ${entry.body.may_be_open ? "may be open" : "must be closed"}${entry.body.action === "closing" ? ", closing" : ""}${entry.body.verified_closed ? ", verified closed" : ""}${entry.body.hold ? ", on hold" : ""}
-      ${(entry.body.permits ?? []).map((permit) => html`<span class="m" key=${permit.telescope}> · ${permit.telescope} ${permit.safe ? "safe" : "unsafe"}, permit ends in ${number(Math.max(0, permit.left_s - ageOf(entry)), 0)} s</span>`)}${entry.body.permits?.length ? "" : html`<span class="m"> · no permit</span>`} · <${Age} s=${ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} /></p>`)}<//>`;
+  const age = (entry) => html`<${Age} s=${ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} after=" ago" />`;
+  return html`<${Card} name="Who is in command" testid="command">
+    ${lease ? html`<p>${lease.body.holder ? html`In command is <b title=${`${lease.body.holder}, token ${lease.body.token}, granted by ${lease.body.arbiter}`}>${nodeWords(lease.body.holder)}</b>` : "No node is in command"} · ${age(lease)}</p>` : html`<p class="m">It is not known yet which node is in command.</p>`}
+    ${guards.map(([key, entry]) => html`<p key=${key}><b>${key.split("/")[4]}</b> ${entry.body.may_be_open ? "may be open" : "must be closed"}${entry.body.action === "closing" ? ", closing" : ""}${entry.body.verified_closed ? ", verified closed" : ""}${entry.body.hold ? ", closed by itself until the node in command goes on" : ""}. <span class="m">${(entry.body.permits ?? []).map((permit) => (permit.safe ? `${permit.telescope} says that it is safe; unless it says so again, this ends in ${number(Math.max(0, permit.left_s - ageOf(entry)), 0)} s${realTime()}. ` : `${permit.telescope} says that it is not safe. `))}${entry.body.permits?.length ? "" : "No telescope says that it is safe. "}</span> · ${age(entry)}</p>`)}<//>`;
 }
 
 /** How it guides: error of the last hour, both axes. */
@@ -165,7 +173,7 @@ function NightCard({ id, states, site }) {
   const report = useReport(id, night);
   const plan = useForecast(id);
   if (!skyNow()) return null;
-  return html`<${Card} name="The night" cls="tl" testid="night" end=${html`<span class="key">exposed</span><span class="key dash">forecast</span><span class="desk">hatched: closed for weather</span>`}><${Night} rows=${schedule?.rows} plan=${plan?.rows} report=${report.data} verdicts=${body(states, `${id}/observatory/safety/state`)?.intervals} site=${site} now=${skyNow()} /><//>`;
+  return html`<${Card} name="The night" cls="tl" testid="night" end=${html`<${Keys} />`}><${Night} rows=${schedule?.rows} plan=${plan?.rows} target=${targetOf(states, id)} report=${report.data} verdicts=${body(states, `${id}/observatory/safety/state`)?.intervals} site=${site} now=${skyNow()} /><//>`;
 }
 
 function Sky({ states, site }) {
