@@ -316,7 +316,8 @@ async fn polled_numbers_come_a_row_per_minute_with_limits_and_twilight() {
     stage.until("/api/heartbeat", |answer| answer["data"]["polling"]["ObservingConditions"].is_object()).await;
     let days = stage
         .until("/api/db/polling/ObservingConditions?day=0.5", |answer| {
-            answer["data"].as_array().is_some_and(|rows| !rows.is_empty())
+            // On a busy machine the verdict and the station are stale now and then.
+            answer["data"][0]["WeatherSafe"].is_number() && answer["latest"]["Humidity"].is_number()
         })
         .await;
     let rows = days["data"].as_array().unwrap();
