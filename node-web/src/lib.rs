@@ -22,6 +22,8 @@
 //!   `a_million_keys_of_a_stranger_leave_room_for_the_telescope_of_the_file`.
 //! - Without a proof of who asks, nothing is answered that is not for everybody (decision 0110):
 //!   `with_users_everybody_is_asked_and_each_proof_opens_what_it_should`.
+//! - Whatever is changed over HTTP, somebody remains who can change users: `somebody_who_can_change_users_always_remains`,
+//!   `the_first_user_is_an_engineer_and_is_made_on_the_servers_host`.
 //! - A draft is never overwritten unseen, and an activation replaces the schedule that its caller saw:
 //!   `of_two_who_edit_one_draft_the_second_is_asked_to_look_again`,
 //!   `a_schedule_that_somebody_else_put_meanwhile_is_not_replaced`.

@@ -135,6 +135,12 @@ impl Problem {
         Self::new(Code::Validation, "Something in the request is wrong", detail)
     }
 
+    /// Something of this host failed.
+    pub fn internal(why: &dyn std::fmt::Display) -> Self {
+        tracing::error!(%why, "a request could not be answered");
+        Self::new(Code::Internal, "Failed", why.to_string())
+    }
+
     /// With a further member.
     pub fn with(mut self, name: &str, value: Value) -> Self {
         self.document.more.insert(name.to_owned(), value);

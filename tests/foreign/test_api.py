@@ -240,6 +240,12 @@ def test_a_program_signs_in_by_the_commands_of_the_document(starmesh, tmp_path):
         assert answers[3]["token"].startswith("starmesh_") and answers[4] is None
         with pytest.raises(AssertionError, match='"code":"unauthenticated"'):
             run_example(me, page, tmp_path)
+        words = {"PASSWORD": password, "INITIAL": "what bob gets at first", "NEW": "quite another five words"}
+        _, users, made, changed, removed, own = [run_example(command, page, tmp_path, **words) for command in (log_in, *commands_of("sh user", "Users"))]
+        assert [user["name"] for user in users["items"]] == ["ana"] and made["name"] == "bob" and changed["rights"] == ["viewer"], (users, made, changed)
+        assert removed is own is None
+        with pytest.raises(AssertionError, match='"code":"unauthenticated"'):
+            run_example(me, page, tmp_path)
 
 
 def test_the_python_client_is_made_of_the_document_and_its_example_works(page, tmp_path):

@@ -3,7 +3,7 @@ import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
 import { appendFileSync } from "node:fs";
 import http from "node:http";
-import { PASSWORD, TEST, becomes, launch, newPage, problemsOf, settled, startAlone, startRecorded, startWithUser } from "./browser.js";
+import { PASSWORD, TEST, becomes, launch, looks, newPage, problemsOf, settled, startAlone, startRecorded, startWithUser } from "./browser.js";
 
 let site, url, browser;
 
@@ -48,6 +48,107 @@ test("a person sees what they may do, makes a token for a program, removes it, a
   await page.getByRole("button", { name: /End the session of ana/ }).click();
   await page.locator("#login").waitFor();
   await page.close();
+});
+
+/** Logs in on the login page, and opens the settings. */
+async function logIn(page, name, password) {
+  await page.locator("#name").fill(name);
+  await page.locator("#password").fill(password);
+  await page.locator("#login button").click();
+  await page.locator("#login").waitFor({ state: "detached" });
+  await settled(page);
+}
+
+/** Types a new password twice, in the dialog that is open. */
+async function typePassword(page, label, password) {
+  await page.getByRole("dialog").getByLabel(label, { exact: true }).fill(password);
+  await page.getByLabel("The same again").fill(password);
+}
+
+test("the first user is an engineer, adds another who signs in, and changes and removes this one", TEST, async () => {
+  const OTHER = "quite another five words";
+  const site = await startAlone();
+  try {
+    const page = await newPage(browser, { viewport: { width: 390, height: 844 }, reducedMotion: "reduce" });
+    const hold = async () => {
+      const button = page.locator("dialog .hold");
+      await button.dispatchEvent("pointerdown");
+      await becomes(() => button.count(), 0, "what was held is done");
+    };
+    const users = page.locator('[data-testid="users"]');
+    const row = (name) => users.locator(`[data-user="${name}"]`);
+    await page.goto(`${site.url}/settings`);
+    await settled(page);
+    await users.getByText("Nobody is asked here").waitFor();
+    await page.getByRole("button", { name: "Add the first user …" }).click();
+    await page.getByLabel("Name", { exact: true }).fill("ana");
+    await typePassword(page, "Password", PASSWORD);
+    await hold();
+    await page.locator("#login").waitFor();
+    await logIn(page, "ana", PASSWORD);
+    await row("ana").getByText("engineer", { exact: true }).waitFor();
+
+    await page.getByRole("button", { name: "Add a user …" }).click();
+    await page.getByLabel("Name", { exact: true }).fill("bob");
+    await page.getByRole("button", { name: "One more right" }).click();
+    await page.getByLabel("Right", { exact: true }).last().selectOption("operator");
+    await page.getByLabel("At", { exact: true }).last().selectOption("paranal/io");
+    await typePassword(page, "Password", PASSWORD);
+    const found = await looks(page, "add a user");
+    await page.getByLabel("The same again").fill(OTHER);
+    await page.locator("dialog .hold").dispatchEvent("pointerdown");
+    await page.getByRole("alert").getByText("The two passwords differ").waitFor();
+    assert.equal(await row("bob").count(), 0, "a slip adds nobody");
+    await page.getByLabel("The same again").fill(PASSWORD);
+    await hold();
+    await row("bob").getByText("viewer, operator:paranal/io").waitFor();
+    found.push(...(await looks(page, "users")));
+    assert.deepEqual(found, []);
+    await page.setViewportSize({ width: 390, height: 844 });
+
+    // Bob sees himself alone, and chooses a password that nobody else knows.
+    const bobs = await newPage(browser);
+    await bobs.goto(`${site.url}/settings`);
+    await logIn(bobs, "bob", PASSWORD);
+    await bobs.locator('[data-testid="you"]', { hasText: /bob.*operator.*paranal\/io/s }).waitFor();
+    assert.equal(await bobs.locator('[data-testid="users"]').count(), 0);
+    await bobs.getByRole("button", { name: "Password …" }).click();
+    await bobs.getByLabel("The old one").fill("not the password");
+    await typePassword(bobs, "The new one", OTHER);
+    await bobs.getByRole("button", { name: "Change", exact: true }).click();
+    await bobs.getByRole("alert").getByText("it is not your password").waitFor();
+    await bobs.getByLabel("The old one").fill(PASSWORD);
+    await bobs.getByRole("button", { name: "Change", exact: true }).click();
+    await bobs.locator("#login").waitFor();
+    await logIn(bobs, "bob", OTHER);
+
+    // Fewer rights are confirmed, more are held; another password and the removal end what bob has open.
+    await page.getByRole("button", { name: "Rights of bob" }).click();
+    await page.getByRole("button", { name: "Without operator:paranal/io" }).click();
+    await page.getByRole("dialog").getByRole("button", { name: "Change", exact: true }).click();
+    await becomes(() => row("bob").textContent(), (text) => !/operator/.test(text), "he may less");
+    await page.getByRole("button", { name: "Rights of bob" }).click();
+    await page.getByLabel("Right", { exact: true }).selectOption("observer");
+    await hold();
+    await row("bob").getByText("observer", { exact: true }).waitFor();
+    await page.getByRole("button", { name: "Password of bob" }).click();
+    await typePassword(page, "Password", PASSWORD);
+    await hold();
+    await bobs.locator("#login").waitFor();
+    await logIn(bobs, "bob", PASSWORD);
+    await page.getByRole("button", { name: "Remove bob" }).click();
+    await page.getByRole("dialog").getByRole("button", { name: "Remove" }).click();
+    await row("bob").waitFor({ state: "detached" });
+    await bobs.locator("#login").waitFor();
+    await page.getByRole("button", { name: "Remove ana" }).click();
+    await page.getByRole("dialog").getByRole("button", { name: "Remove" }).click();
+    await page.locator(".toast", { hasText: "make another engineer first" }).waitFor();
+    await row("ana").waitFor();
+    await bobs.close();
+    await page.close();
+  } finally {
+    await site.end();
+  }
 });
 
 test("a test message goes to everybody who gets alerts, and what came of each is told", TEST, async () => {

@@ -8,6 +8,8 @@ use std::time::SystemTime;
 
 use crate::users::{MOST_BYTES, Users, UsersFault};
 
+const TOO_LARGE: &str = "it is larger than a users file can be (1 MiB)";
+
 /// Why a users file could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum FileFault {
@@ -62,7 +64,7 @@ pub fn read(file: &Path) -> Result<Option<Users>, FileFault> {
     let mut text = String::new();
     (&open).take(MOST_BYTES + 1).read_to_string(&mut text).map_err(io_fault("read", file))?;
     if text.len() as u64 > MOST_BYTES {
-        return Err(io_fault("read", file)(io::Error::other("it is larger than a users file can be (1 MiB)")));
+        return Err(io_fault("read", file)(io::Error::other(TOO_LARGE)));
     }
     let text_fault = |fault| FileFault::Text { file: file.display().to_string(), fault };
     Users::parse(&text).map(Some).map_err(text_fault)
@@ -80,6 +82,9 @@ pub fn edit<T, E: From<FileFault>>(file: &Path, change: impl FnOnce(&mut Users) 
     let mut users = read(file)?.unwrap_or_default();
     let done = change(&mut users)?;
     let text = users.to_text().map_err(FileFault::from)?;
+    if text.len() as u64 > MOST_BYTES {
+        return Err(io_fault("write", file)(io::Error::other(TOO_LARGE)).into());
+    }
     replace(file, &text).map_err(io_fault("write", file))?;
     Ok(done)
 }
@@ -286,6 +291,20 @@ mod tests {
         assert!(read(&file).unwrap_err().to_string().contains("chmod 600"));
         let names = fs::read_dir(folder.path()).unwrap().flatten().count();
         assert_eq!(names, 3, "file, link and lock");
+    }
+
+    #[test]
+    fn more_users_than_can_be_read_again_are_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("users.toml");
+        add(&file);
+        let before = fs::read_to_string(&file).unwrap();
+        let refused = edit(&file, |users| {
+            users.users.values_mut().for_each(|user| user.grants = vec![user.grants[0].clone(); 100_000]);
+            Ok::<_, FileFault>(())
+        });
+        assert!(refused.unwrap_err().to_string().contains("1 MiB"));
+        assert_eq!(fs::read_to_string(&file).unwrap(), before);
     }
 
     #[test]

@@ -30,4 +30,4 @@ pub use grant::{BadGrant, Grant};
 pub use password::{PasswordFault, PasswordHash};
 pub use principal::{Principal, Way};
 pub use secret::{NoRandomness, Secret, SecretHash};
-pub use users::{Token, TokenFault, User, Users, UsersFault};
+pub use users::{NameFault, Token, TokenFault, User, Users, UsersFault};

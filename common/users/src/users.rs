@@ -10,11 +10,13 @@ use units::Utc;
 
 use crate::password::{self, PasswordHash};
 use crate::secret::{Secret, SecretHash};
-use crate::{Grant, Principal, Way};
+use crate::{Grant, Principal, Right, Way};
 
 /// Larger files are none of ours.
 pub(crate) const MOST_BYTES: u64 = 1 << 20;
 const TOKEN_PREFIX: &str = "starmesh_";
+/// Names by which logs and the API show somebody who is no user.
+const RESERVED: [&str; 4] = ["local", "anybody", "nobody", "public"];
 const HEAD: &str = "# Users of the page and the API, and their tokens. `starmesh user` writes this file and keeps no comments;\n\
                     # docs/operator/users.md explains it. It holds no password and no token, only what proves them.\n";
 
@@ -59,6 +61,25 @@ pub struct UsersFault {
     pub line: usize,
     /// What is wrong, and what was expected.
     pub what: String,
+}
+
+/// Why a new user cannot have a name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NameFault {
+    /// It means somebody who is no user.
+    #[error("{0} is the name of those who are no users; choose another")]
+    Reserved(Name),
+    /// There is such a user.
+    #[error("there is a user {0} already; change this one, or choose another name")]
+    Taken(Name),
+    /// People would mix them up.
+    #[error("there is a user {known}, whom {name} could be taken for; choose another name")]
+    Alike {
+        /// What was asked for.
+        name: Name,
+        /// Who is there.
+        known: Name,
+    },
 }
 
 /// Why a token gives nothing.
@@ -177,9 +198,24 @@ impl Users {
         Ok(text)
     }
 
-    /// The user of this name, ignoring case: nobody shall be taken for somebody else.
-    pub fn alike(&self, name: &str) -> Option<&Name> {
-        self.users.keys().find(|known| known.as_str().eq_ignore_ascii_case(name))
+    /// May a new user have this name? Nobody shall be taken for somebody else, also where case is ignored.
+    ///
+    /// # Errors
+    /// Why not.
+    pub fn is_free(&self, name: &Name) -> Result<(), NameFault> {
+        if RESERVED.contains(&name.as_str()) {
+            return Err(NameFault::Reserved(name.clone()));
+        }
+        match self.users.keys().find(|known| known.as_str().eq_ignore_ascii_case(name.as_str())) {
+            Some(known) if known == name => Err(NameFault::Taken(name.clone())),
+            Some(known) => Err(NameFault::Alike { name: name.clone(), known: known.clone() }),
+            None => Ok(()),
+        }
+    }
+
+    /// Is there somebody who may change users?
+    pub fn has_engineer(&self) -> bool {
+        self.users.values().any(|user| user.grants.contains(&Grant::everywhere(Right::Engineer)))
     }
 
     /// The user of this name.
@@ -238,7 +274,6 @@ impl Users {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::Right;
 
     const PASSWORD: &str = "four plain words here";
 
@@ -342,6 +377,18 @@ pub(crate) mod tests {
         ] {
             assert!(users.log_in(name, password).is_none(), "{name}");
         }
-        assert_eq!(users.alike("ANA").unwrap().as_str(), "ana");
+    }
+
+    #[test]
+    fn a_new_user_has_a_name_that_nobody_has_and_that_means_nobody_else() {
+        let (mut users, _) = ana();
+        assert!(users.is_free(&name("bob")).is_ok() && !users.has_engineer());
+        for (taken, why) in [("ana", "already"), ("ANA", "could be taken for"), ("local", "those who are no users")] {
+            assert!(users.is_free(&name(taken)).unwrap_err().to_string().contains(why), "{taken}");
+        }
+        for (right, has) in [("engineer:paranal/*", false), ("operator", false), ("engineer", true)] {
+            users.users.get_mut(&name("ana")).unwrap().grants = vec![right.parse().unwrap()];
+            assert_eq!(users.has_engineer(), has, "{right}");
+        }
     }
 }

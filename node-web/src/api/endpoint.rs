@@ -27,6 +27,8 @@ pub enum Needs {
     Known,
     /// This right at some telescope: what is about all of them.
     Anywhere(Right),
+    /// This right at all telescopes: what is about who may what.
+    Everywhere(Right),
     /// This right at the telescope that the path names.
     There(Right),
 }
@@ -256,6 +258,7 @@ fn authorize(needs: Needs, params: &RawPathParams, caller: Option<&Principal>) -
     let (wanted, has, place) = match needs {
         Needs::Nothing | Needs::Known => return Ok(()),
         Needs::Anywhere(right) => (right, caller.right_anywhere(), "any telescope".to_owned()),
+        Needs::Everywhere(right) => (right, caller.right_everywhere(), "all telescopes".to_owned()),
         Needs::There(right) => {
             let (site, telescope) = (part("site").unwrap_or_default(), part("telescope").unwrap_or_default());
             let place = format!("{site}/{telescope}");

@@ -28,7 +28,7 @@ use crate::commands::{self, CommandRequest, CommandsQuery, OrderOffered};
 use crate::problem::{Code, Problem};
 use crate::routes::{
     frames, health, heartbeat, history, legacy, login, metrics, network, parts, preview, records, reports, sessions,
-    sky, test_messages, tokens,
+    sky, test_messages, tokens, users,
 };
 use crate::server::Server;
 use crate::socket;
@@ -59,6 +59,7 @@ fn endpoints() -> Vec<Endpoint> {
 /// All others.
 fn general() -> Vec<Endpoint> {
     const TELESCOPE: Needs = Needs::There(Viewer);
+    const ENGINEER: Needs = Needs::Everywhere(Engineer);
     vec![
         Endpoint::get("/healthz", "health", Needs::Nothing, health::healthz)
             .summary("Is this node alive?")
@@ -79,6 +80,10 @@ fn general() -> Vec<Endpoint> {
         Endpoint::get("/api/v1/me", "me", Needs::Known, login::me)
             .summary("The caller, and what it may do.")
             .gives::<login::Me>("The user, and what it may do."),
+        Endpoint::put("/api/v1/me/password", "change_own_password", Needs::Known, users::own_password)
+            .summary("Gives the caller another password, by the old one; all their sessions end, this one too.")
+            .takes::<users::OwnPassword>()
+            .gives_nothing(StatusCode::NO_CONTENT, "Log in with the new one."),
         Endpoint::post("/api/v1/ws-ticket", "ws_ticket", Needs::Known, login::ws_ticket)
             .summary("A ticket that opens one socket, as /api/v1/ws?ticket=...")
             .gives::<login::SocketTicket>("The ticket."),
@@ -98,6 +103,18 @@ fn general() -> Vec<Endpoint> {
         Endpoint::delete("/api/v1/tokens/{name}", "remove_token", Needs::Known, tokens::remove)
             .summary("Removes a token: it is refused from now on.")
             .gives_nothing(StatusCode::NO_CONTENT, "It is gone."),
+        Endpoint::get("/api/v1/users", "users", ENGINEER, users::list)
+            .summary("All users with their rights, and whether they are logged in.")
+            .gives::<users::UserList>("The users."),
+        Endpoint::put("/api/v1/users/{name}", "put_user", ENGINEER, users::put)
+            .summary("Makes a user, or gives one other rights or another password. Rights count from the next request on; another password ends the user's sessions.")
+            .header("If-None-Match", "*: only make a new user, and change none.", false)
+            .takes::<users::UserChange>()
+            .gives::<users::UserItem>("The user is changed.")
+            .answers::<users::UserItem>(StatusCode::CREATED, "The user is made."),
+        Endpoint::delete("/api/v1/users/{name}", "remove_user", ENGINEER, users::remove)
+            .summary("Removes a user, with all sessions and tokens.")
+            .gives_nothing(StatusCode::NO_CONTENT, "The user is gone."),
         Endpoint::get("/api/v1/network", "network", Needs::Anywhere(Viewer), network::network)
             .summary("All telescopes in short, with their nodes.")
             .gives::<network::NetworkAnswer>("The network."),

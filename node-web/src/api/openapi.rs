@@ -94,6 +94,7 @@ pub fn right(needs: Needs) -> String {
     match needs {
         Needs::Nothing => "none".to_owned(),
         Needs::Known => "signed in".to_owned(),
+        Needs::Everywhere(right) => format!("{right} of all telescopes"),
         Needs::Anywhere(right) | Needs::There(right) => Right::word(right).to_owned(),
     }
 }

@@ -20,6 +20,17 @@ export function note(text, stays = false) {
   return change;
 }
 
+/** Does it, and says what came of it. */
+export async function act(text, work, after) {
+  try {
+    await work();
+    note(text);
+    after();
+  } catch (error) {
+    note(error.message);
+  }
+}
+
 /** The button that asks; filled where closing is the first thing to do. */
 export const CloseButton = ({ id, filled = true, sm, xl, named, cls = "" }) => html`<button type="button" class=${`btn ${filled ? "close" : "soft"} ${sm ? "sm" : ""} ${xl ? "xl" : ""} ${cls}`} data-testid="close" aria-label=${`Close ${id}`}
   onClick=${() => { asked.value = id; }}><${Icon} name="closed" /><span>Close${named ? ` ${id.split("/")[1]}` : ""}</span></button>`;

@@ -5,6 +5,12 @@ import { forgetPicture } from "./picture.js";
 /** The answer of `/api/v1/me`, or null. */
 export const me = signal(null);
 
+/** The rights from the least to the greatest, each of which contains those before it. */
+export const RIGHTS = { viewer: "reads everything but secrets", observer: "also closes, and writes drafts", operator: "also opens, starts, puts schedules in force, answers alerts", engineer: "also overrides limits, reads the audit; of all telescopes: changes users, ends sessions of others" };
+
+/** May this person change users? */
+export const isEngineer = () => (me.value?.rights ?? []).includes("engineer");
+
 /** Asks who is signed in; where nobody is, loads the address again, which is the login page then. */
 export async function askUser() {
   try {

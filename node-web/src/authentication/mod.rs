@@ -8,6 +8,7 @@
 //! A credential is evaluated against the users file as it is now, each time: nothing that was taken away works on.
 
 mod buckets;
+mod edit;
 mod exposure;
 mod follow;
 mod form;
@@ -32,6 +33,7 @@ use users::{Grant, Principal, Right, SecretHash, Users, WatchedUsers, Way};
 use crate::addresses::is_page;
 use crate::problem::{Code, Problem};
 use buckets::Buckets;
+pub use edit::Refusal;
 pub use exposure::may_listen;
 use logins::Logins;
 pub use sessions::{LONGEST, Session, Sessions, TICKET_VALID, Tickets};
@@ -146,6 +148,11 @@ impl Authentication {
         self.0.rules.insecure_open && self.users().is_none()
     }
 
+    /// Does a proxy sign people in?
+    pub fn is_behind_proxy(&self) -> bool {
+        !self.0.rules.proxies.is_empty()
+    }
+
     /// The users file.
     pub fn file(&self) -> PathBuf {
         self.0.watched.lock().unwrap_or_else(PoisonError::into_inner).file().to_owned()
@@ -226,7 +233,7 @@ impl Authentication {
     /// A page that only this machine sees needs no limit: whoever is on it can do worse than ask.
     fn is_limited(&self) -> bool {
         let rules = &self.0.rules;
-        rules.insecure_open || !rules.proxies.is_empty() || self.users().is_some()
+        rules.insecure_open || self.is_behind_proxy() || self.users().is_some()
     }
 
     /// Lets a request in with its principal, or refuses it.

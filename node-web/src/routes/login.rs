@@ -80,7 +80,7 @@ pub async fn log_in(
         if let Some(old) = presented_session(&headers, client.encrypted) {
             sessions.end(&SecretHash::of(old));
         }
-        sessions.begin(user, client.address, machine, utc).map_err(|why| internal(&why))?
+        sessions.begin(user, client.address, machine, utc).map_err(|why| Problem::internal(&why))?
     };
     tracing::info!(user = %name, address = %client.address, "a user has logged in");
     let principal = Principal { name: name.to_string(), way: Way::Session, grants: user.1.grants.clone() };
@@ -142,13 +142,8 @@ pub async fn ws_ticket(
     Extension(authentication): Extension<Authentication>,
     Extension(credential): Extension<Credential>,
 ) -> Result<Json<SocketTicket>, Problem> {
-    let made = authentication.tickets().make(credential, authentication.now().0).map_err(|why| internal(&why))?;
+    let made =
+        authentication.tickets().make(credential, authentication.now().0).map_err(|why| Problem::internal(&why))?;
     let ticket = made.ok_or_else(|| Problem::too_many("Too many tickets are waiting to be used.", TICKET_VALID))?;
     Ok(Json(SocketTicket { ticket: ticket.reveal().to_owned(), valid_s: TICKET_VALID.as_secs() }))
-}
-
-/// Something of this host failed.
-pub fn internal(why: &dyn std::fmt::Display) -> Problem {
-    tracing::error!(%why, "a request about users could not be answered");
-    Problem::new(Code::Internal, "Failed", why.to_string())
 }

@@ -18,3 +18,4 @@ pub mod sessions;
 pub mod sky;
 pub mod test_messages;
 pub mod tokens;
+pub mod users;

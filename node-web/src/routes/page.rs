@@ -28,7 +28,7 @@ const ASSETS: &[(&str, &[u8])] = assets! {
     "fonts/inter-var.woff2" "fonts/jetbrains-mono.woff2" "pages/alerts.js" "pages/audit.js" "pages/controls.js"
     "pages/device.js" "pages/focus.js" "pages/frame.js" "pages/frames.js" "pages/guiding.js" "pages/lightcurve.js"
     "pages/log.js" "pages/network.js" "pages/nodes.js" "pages/report.js" "pages/schedule.js" "pages/settings.js"
-    "pages/telescope.js" "pages/wall.js" "pages/weather.js" "vendor/LICENSES.txt" "vendor/hooks.js" "vendor/htm.js"
+    "pages/telescope.js" "pages/users.js" "pages/wall.js" "pages/weather.js" "vendor/LICENSES.txt" "vendor/hooks.js" "vendor/htm.js"
     "vendor/preact.js" "vendor/signals-core.js" "vendor/signals.js" "vendor/uplot.js"
 };
 /// What lets the page open without this server.

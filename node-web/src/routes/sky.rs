@@ -15,7 +15,6 @@ use units::{Angle, Utc};
 
 use crate::json_body::AskedFor;
 use crate::problem::{Code, Problem};
-use crate::routes::login::internal;
 use crate::routes::network::{NEVER_CACHED, known};
 use crate::server::Server;
 
@@ -160,7 +159,7 @@ pub async fn sky(
     let at = query.at_utc.unwrap_or_else(|| server.network.clock().utc());
     let worked_out =
         tokio::task::spawn_blocking(move || sky_at(&place, &orientation, at, horizon(&server.config, &address)));
-    let sky = worked_out.await.map_err(|lost| internal(&lost))?;
+    let sky = worked_out.await.map_err(|lost| Problem::internal(&lost))?;
     let sky = sky
         .map_err(|error| Problem::new(Code::Validation, "The sky cannot be worked out", format!("at_utc: {error}.")))?;
     Ok((NEVER_CACHED, Json(sky)).into_response())

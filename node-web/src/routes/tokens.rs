@@ -10,12 +10,11 @@ use contract::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
-use users::{FileFault, Grant, NoRandomness, Principal, Right, Secret, Token, Users, Way};
+use users::{Grant, Principal, Right, Token, Users, Way};
 
-use crate::authentication::Authentication;
+use crate::authentication::{Authentication, Refusal};
 use crate::json_body::JsonBody;
 use crate::problem::{Code, Problem};
-use crate::routes::login::internal;
 
 const LONGEST_DAYS: u32 = 3650;
 /// One user needs a few; the file is read by people.
@@ -65,35 +64,6 @@ pub struct MadeToken {
     /// What is stored of it.
     #[serde(flatten)]
     item: TokenItem,
-}
-
-/// Why a change of the tokens is refused.
-enum Refusal {
-    Problem(Problem),
-    File(FileFault),
-    Randomness(NoRandomness),
-}
-
-impl From<FileFault> for Refusal {
-    fn from(fault: FileFault) -> Self {
-        Self::File(fault)
-    }
-}
-
-impl From<Problem> for Refusal {
-    fn from(problem: Problem) -> Self {
-        Self::Problem(problem)
-    }
-}
-
-impl From<Refusal> for Problem {
-    fn from(refusal: Refusal) -> Self {
-        match refusal {
-            Refusal::Problem(problem) => problem,
-            Refusal::File(fault) => internal(&fault),
-            Refusal::Randomness(fault) => internal(&fault),
-        }
-    }
 }
 
 /// Lists tokens.
@@ -154,8 +124,7 @@ fn make(users: &mut Users, by: &Principal, asked: NewToken, now: Utc) -> Result<
         return Err(Problem::new(Code::Conflict, "Too many tokens", detail).into());
     }
     let expires = now.plus(Duration::from_secs(u64::from(asked.days) * 86_400));
-    let made = users.add_token(asked.name.clone(), user, asked.rights, now, expires);
-    let secret: Secret = made.map_err(Refusal::Randomness)?;
+    let secret = users.add_token(asked.name.clone(), user, asked.rights, now, expires)?;
     let token = users.tokens.get(&asked.name).ok_or_else(|| Problem::not_found("The token is gone."))?;
     Ok(MadeToken { token: secret.reveal().to_owned(), item: item(&asked.name, token) })
 }
@@ -179,7 +148,7 @@ pub async fn remove(
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Changes the users file, and lets the change count at once.
+/// Changes the tokens of users that there are.
 async fn edit<T: Send + 'static>(
     authentication: &Authentication,
     change: impl FnOnce(&mut Users) -> Result<T, Refusal> + Send + 'static,
@@ -189,10 +158,7 @@ async fn edit<T: Send + 'static>(
             "This server has no users, and so no tokens; `starmesh user add` makes a user.",
         ));
     }
-    let file = authentication.file();
-    let done = tokio::task::spawn_blocking(move || users::edit(&file, change)).await.map_err(|why| internal(&why))?;
-    authentication.refresh().await;
-    Ok(done?)
+    authentication.edit(change).await
 }
 
 fn item(name: &Name, token: &Token) -> TokenItem {

@@ -127,7 +127,7 @@ pub async fn diff(
     let (text, sha256, _) = asked::text(&server, &address, None).await?;
     let tag = draft.etag();
     let found = tokio::task::spawn_blocking(move || difference(&text, &draft.text)).await;
-    let found = found.map_err(|lost| crate::routes::login::internal(&lost))?;
+    let found = found.map_err(|lost| Problem::internal(&lost))?;
     Ok((NEVER_CACHED, Json(ScheduleDifference::of(found, sha256, tag))).into_response())
 }
 

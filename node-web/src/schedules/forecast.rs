@@ -19,7 +19,6 @@ use super::asked;
 use crate::drafts::etag;
 use crate::forecast_store::MadeForecast;
 use crate::problem::Problem;
-use crate::routes::login::internal;
 use crate::routes::network::known;
 use crate::server::Server;
 
@@ -74,7 +73,7 @@ async fn make(server: &Server, address: &Address) -> Result<(String, Bytes), Pro
     let question = SchedulePlanQuestion { text, unsafe_utc: Vec::new(), begun };
     let plan = asked::plan(server, address, &question).await?;
     let forecast = Forecast { made_utc, sha256, plan };
-    let body = Bytes::from(serde_json::to_vec(&forecast).map_err(|error| internal(&error))?);
+    let body = Bytes::from(serde_json::to_vec(&forecast).map_err(|error| Problem::internal(&error))?);
     let tag = Sha256::digest(&body).iter().take(16).map(|byte| format!("{byte:02x}")).collect();
     Ok((tag, body))
 }

@@ -18,4 +18,5 @@ mod parts_and_metrics_are_fresh_or_absent;
 mod sends_test_messages;
 mod serves_page_image_and_socket;
 mod stage;
+mod users_are_changed_by_an_engineer;
 mod withstands_strangers;

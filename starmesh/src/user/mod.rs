@@ -5,16 +5,13 @@ mod token;
 
 use std::path::PathBuf;
 
-use anyhow::{Context as _, anyhow, bail, ensure};
+use anyhow::{Context as _, anyhow, ensure};
 use clap::{Args, Subcommand};
 use contract::Name;
 use users::{Grant, PasswordHash, User, Users};
 
 use crate::console::line;
 use password::PasswordSource;
-
-/// Names by which logs and the API show somebody who is no user.
-const RESERVED: [&str; 4] = ["local", "anybody", "nobody", "public"];
 
 /// What `starmesh user` does.
 #[derive(Debug, Subcommand)]
@@ -163,10 +160,10 @@ fn add(options: Add) -> anyhow::Result<()> {
     let path = file.path()?;
     let before = users::read(&path)?.unwrap_or_default();
     // Once before the password is asked for, and once when it is written.
-    is_free(&before, &name)?;
+    before.is_free(&name)?;
     let hash = PasswordHash::of_new(&password.get(&name)?, name.as_str())?;
     file.edit(|users| {
-        is_free(users, &name)?;
+        users.is_free(&name)?;
         users.users.insert(name.clone(), User { password: hash, grants: rights.clone() });
         Ok(())
     })?;
@@ -176,19 +173,6 @@ fn add(options: Add) -> anyhow::Result<()> {
         line(format_args!("from now on everybody has to log in at the page, also on this host"))?;
     }
     Ok(())
-}
-
-fn is_free(users: &Users, name: &Name) -> anyhow::Result<()> {
-    if RESERVED.contains(&name.as_str()) {
-        bail!("{name} is the name of those who are no users; choose another");
-    }
-    match users.alike(name.as_str()) {
-        Some(known) if known == name => {
-            bail!("there is a user {name} already; `starmesh user right` and `starmesh user password` change one")
-        }
-        Some(known) => bail!("there is a user {known}, whom {name} could be taken for; choose another name"),
-        None => Ok(()),
-    }
 }
 
 fn list(file: &UsersFile) -> anyhow::Result<()> {

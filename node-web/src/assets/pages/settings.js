@@ -1,28 +1,17 @@
 // Who you are and what you may do, the sessions and tokens that are open, and what this browser keeps.
 import { html, useSignal } from "../lib.js";
 import { ask, useGet } from "../api.js";
-import { note } from "../close.js";
+import { act } from "../close.js";
 import { clock, day, duration } from "../format.js";
 import { Card, Dialog, Empty, Loaded, Segment, Table } from "../parts.js";
 import { choose, density, theme } from "../look.js";
 import { forgetPicture } from "../picture.js";
-import { leave, me } from "../user.js";
+import { RIGHTS, isEngineer, leave, me } from "../user.js";
+import { OwnPassword, Users } from "./users.js";
 
-const RIGHTS = { viewer: "reads everything but secrets", observer: "also closes, and writes drafts", operator: "also opens, starts, puts schedules in force, answers alerts", engineer: "also overrides limits, reads the audit, ends sessions of others" };
 const WAYS = { session: "by a password in this browser", token: "by a token", proxy: "by the proxy in front of this server", open: "nobody is asked here: only programs of this host reach the page" };
 const grant = (one) => (typeof one === "string" ? one : JSON.stringify(one));
 const date = (utc) => `${day(utc)} ${clock(utc)}`;
-
-/** Does it, and says what came of it. */
-async function act(text, work, after) {
-  try {
-    await work();
-    note(text);
-    after();
-  } catch (error) {
-    note(error.message);
-  }
-}
 
 function Messages() {
   const sent = useSignal(null);
@@ -46,10 +35,12 @@ function Messages() {
 
 function You() {
   const who = me.value;
+  const changing = useSignal(false);
   if (!who) return html`<${Card} name="You"><p class="m">Asking …</p><//>`;
-  return html`<${Card} name="You" end=${who.way === "session" && html`<button class="btn sm soft" onClick=${leave}>Log out</button>`} testid="you"><div class="row base wrap"><span class="big">${who.name}</span><span class="m">${WAYS[who.way] ?? who.way}${who.session_ends_utc ? `, until ${date(who.session_ends_utc)} at the latest` : ""}</span></div>
+  return html`<${Card} name="You" end=${who.way === "session" && html`<button class="btn sm soft" onClick=${() => { changing.value = true; }}>Password …</button> <button class="btn sm soft" onClick=${leave}>Log out</button>`} testid="you"><div class="row base wrap"><span class="big">${who.name}</span><span class="m">${WAYS[who.way] ?? who.way}${who.session_ends_utc ? `, until ${date(who.session_ends_utc)} at the latest` : ""}</span></div>
     <dl class="kv">${(who.rights ?? []).map((one) => { const [right, where] = grant(one).split(":"); return [html`<dt key=${`${one}t`}><b>${right}</b></dt>`, html`<dd key=${`${one}d`}>${where ? `of ${where}` : "of all telescopes"} <span class="m">${RIGHTS[right] ?? ""}</span></dd>`]; })}</dl>
-    ${who.insecure_open && html`<p class="note p2"><span class="grow"><b>This server is open to everybody.</b> Make users: <code>starmesh user add</code>.</span></p>`}<//>`;
+    ${who.insecure_open && html`<p class="note p2"><span class="grow"><b>This server is open to everybody.</b> Make users: <code>starmesh user add</code>.</span></p>`}
+    ${changing.value && html`<${OwnPassword} close=${() => { changing.value = false; }} />`}<//>`;
 }
 
 function Browser() {
@@ -99,12 +90,8 @@ function Tokens() {
     ${removing.value && html`<${Dialog} label="Remove a token" close=${() => { removing.value = null; }}><h2>Remove the token ${removing.value.name}?</h2><p class="m">Whatever uses it is refused from now on.</p><div class="acts"><button type="button" class="btn soft" onClick=${() => { removing.value = null; }}>Cancel</button><button type="button" class="btn main" data-first onClick=${() => remove(removing.value)}>Remove</button></div><//>`}<//>`;
 }
 
-const Users = () => html`<${Card} name="Users"><p>Users and their rights are kept in a file of the server, and changed there:</p><pre class="code pad mono" tabindex="0" role="group" aria-label="Commands about users">starmesh user add bob --right viewer --right operator:SITE/TELESCOPE
-starmesh user right bob viewer operator:SITE/*
-starmesh user password bob
-starmesh user remove bob
-starmesh user list</pre><p class="m">What changes counts within 2 s. Nobody has to log in again for another right.</p><dl class="kv">${Object.entries(RIGHTS).map(([right, may]) => [html`<dt key=${right}><b>${right}</b></dt>`, html`<dd key=${`${right}d`}>${may}</dd>`])}</dl><//>`;
+const Rights = () => html`<${Card} name="The four rights"><div class="stack"><dl class="kv">${Object.entries(RIGHTS).map(([right, may]) => [html`<dt key=${right}><b>${right}</b></dt>`, html`<dd key=${`${right}d`}>${may}</dd>`])}</dl><p class="m">A right is for all telescopes, for those of a site, or for one. ${isEngineer() ? html`On the server's host, <code>starmesh user</code> does the same as this page, and sets a password that was forgotten.` : "An engineer of all telescopes gives and takes rights."}</p></div><//>`;
 
 export function Settings() {
-  return html`<div class="page-h"><h1 tabindex="-1">Settings and users</h1></div><div class="grid g2"><div class="stack"><${You} /><${Browser} /><${Messages} /></div><${Users} /></div><${Sessions} /><${Tokens} />`;
+  return html`<div class="page-h"><h1 tabindex="-1">Settings and users</h1></div><div class="grid g2"><div class="stack"><${You} /><${Browser} /><${Messages} /></div><${Rights} /></div><${Users} /><${Sessions} /><${Tokens} />`;
 }
