@@ -65,6 +65,13 @@ export function standing(summary) {
 /** Is nobody being called for it: its cause went away, somebody has acknowledged it, or it is shelved? */
 export const isCalm = (alert) => Boolean(alert?.returned_utc || alert?.acknowledged_by || alert?.shelved_until_utc);
 
+/** What became of it, in words. */
+export const fate = (alert) => [
+  alert.returned_utc && `its cause went away at ${clock(alert.returned_utc)}, and nobody has acknowledged it`,
+  alert.acknowledged_by && `acknowledged by ${alert.acknowledged_by}`,
+  alert.shelved_until_utc && `shelved until ${clock(alert.shelved_until_utc)}: ${alert.shelved_reason ?? ""}`,
+].filter(Boolean).join(", ");
+
 /** How many alerts of each priority call for somebody. */
 export function countsOf(summary) {
   const counts = Object.fromEntries(PRIORITIES.map((word) => [word, 0]));

@@ -3,7 +3,7 @@ import { html, useSignal } from "../lib.js";
 import { command } from "../api.js";
 import { CloseButton, note } from "../close.js";
 import { clock, duration } from "../format.js";
-import { Card, Counts, Dialog, Empty, Guard, Priority, PRIORITIES, Segment, isCalm, priorityNumber } from "../parts.js";
+import { Card, Counts, Dialog, Empty, Guard, Priority, PRIORITIES, Segment, fate, isCalm, priorityNumber } from "../parts.js";
 import { link, net, skyNow, tick, useTopic } from "../store.js";
 import { worst } from "../shell.js";
 import { Webcams } from "../webcams.js";
@@ -15,13 +15,6 @@ function since(utc) {
   const now = skyNow();
   return now === null ? clock(utc) : `${clock(utc)}, ${duration((now - Date.parse(utc)) / 1000)} ago`;
 }
-
-/** What became of it, in words. */
-export const fate = (alert) => [
-  alert.returned_utc && `its cause went away at ${clock(alert.returned_utc)}, and nobody has acknowledged it`,
-  alert.acknowledged_by && `acknowledged by ${alert.acknowledged_by}`,
-  alert.shelved_until_utc && `shelved until ${clock(alert.shelved_until_utc)}: ${alert.shelved_reason ?? ""}`,
-].filter(Boolean).join(", ");
 
 async function order(telescope, name, parameters, reason, done) {
   const say = note(`${telescope}: ${name} is being sent …`, true);

@@ -10,7 +10,7 @@ import { useGet, useReport } from "../api.js";
 import { SkyMap } from "../sky.js";
 import { useSite } from "../site.js";
 import { useForecast } from "../forecast.js";
-import { Age, Card, Empty, Guard, Missing, Priority, Stat, Table, Time, realTime, standing } from "../parts.js";
+import { Age, Card, Empty, Guard, Missing, Priority, Stat, Table, Time, fate, isCalm, priorityNumber, realTime, standing } from "../parts.js";
 import { ageOf, quality, skyAgeOf, skyNow, skySpeed, tick, useTopic } from "../store.js";
 import { useCorrections } from "../corrections.js";
 import { activity } from "../activity.js";
@@ -57,6 +57,13 @@ function Expected({ by, sky }) {
   return html`<span class=${left < 0 ? "ink-p2" : "m"} data-testid="expected">${left < 0 ? html`should have ended ${duration(-left)} ago` : html`should end by ${clock(by)}, <span class="nw">in ${duration(left)}</span>`}</span>`;
 }
 
+/** One alert: what to do while it stands, and what became of it once nobody is called for it. */
+function AlertNote({ alert }) {
+  const calm = isCalm(alert);
+  return html`<div class=${`note ${calm ? "" : `p${Math.min(3, priorityNumber(alert.priority))}`}`} data-testid="alert" data-alert=${alert.id}><${Priority} word=${alert.priority} off=${calm} /><div class="grow">
+    ${calm ? html`<span class="m">${alert.cause} ${fate(alert)}.</span>` : html`<b>${alert.cause}</b> ${alert.consequence} <em>${alert.action}</em><span class="m"> since ${clock(alert.raised_utc)}</span>`}</div></div>`;
+}
+
 function Doing({ id, summary, states }) {
   const now = standing(summary);
   const [what, sub] = activity(summary, now);
@@ -78,8 +85,7 @@ function Doing({ id, summary, states }) {
       ${light && html`<div class="light"><div class="row between"><span class="m">this frame</span><span><b>${number(light.passed, 0)}</b> <span class="m">of ${plain(light.total)} s</span></span></div><div class="bar lg lit"><i style=${{ width: `${(light.part * 100).toFixed(1)}%` }}></i></div></div>`}</div>
     <div class="grid g3"><div><div class="tagline">Why</div><div>${why}</div></div><div><div class="tagline">Until</div><div>${until}</div></div><div><div class="tagline">Waits for</div><div>${waits}</div></div></div>
     ${list.length > 0 && html`<${Holds} list=${list} sky=${sky} open=${now.posture !== "closed"} />`}
-    ${(summary.alerts ?? []).map((alert) => html`<div key=${alert.id} class=${`note p${Math.min(3, ["critical", "high", "medium", "advisory"].indexOf(alert.priority) + 1)}`} data-testid="alert" data-alert=${alert.id}><${Priority} word=${alert.priority} /><div class="grow"><b>${alert.cause}</b> ${alert.consequence} <em>${alert.action}</em>
-      <span class="m"> since ${clock(alert.raised_utc)}${alert.acknowledged_by ? `, acknowledged by ${alert.acknowledged_by}` : ""}</span></div></div>`)}
+    ${(summary.alerts ?? []).map((alert) => html`<${AlertNote} key=${alert.id} alert=${alert} />`)}
     ${(summary.unreadable ?? []).map((odd) => html`<div key=${odd.key} class="note p2" data-unreadable=${odd.key}><div class="grow"><b>${odd.key} cannot be read.</b> ${odd.why}</div></div>`)}</section>`;
 }
 
