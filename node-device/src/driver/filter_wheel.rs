@@ -102,7 +102,7 @@ impl Driver for FilterWheel {
         match fields.position.known() {
             Some(now) if now == position => Progress::Done,
             Some(now) => Progress::Stranded {
-                off: (now - position) as f64,
+                off: f64::from(*now) - f64::from(*position),
                 why: format!("it rests at position {now}, not at {position}"),
             },
             None => Progress::Running,

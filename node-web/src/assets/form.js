@@ -13,11 +13,12 @@ const isWritten = (schema) => !schema.enum && !isNumber(schema) && !["boolean", 
 export function Field({ path, schema, required, value = schema.default }) {
   const described = schema.description ? `${path}-what` : null;
   const words = (schema.enum ?? []).filter((word) => word !== null);
+  const what = schema.description && html`<small id=${described}>${schema.description}</small>`;
+  if (typesOf(schema)[0] === "boolean") return html`<div class="field"><label class="check"><input id=${path} name=${path} type="checkbox" class="toggle" defaultChecked=${value === true} aria-describedby=${described} />${title(path)}</label>${what}</div>`;
   const input = words.length ? html`<select id=${path} name=${path} required=${required} aria-describedby=${described}>${!required && html`<option value="">—</option>`}${words.map((word) => html`<option key=${word} selected=${word === value}>${word}</option>`)}</select>`
-    : typesOf(schema)[0] === "boolean" ? html`<input id=${path} name=${path} type="checkbox" defaultChecked=${value === true} aria-describedby=${described} />`
     : isNumber(schema) ? html`<input id=${path} name=${path} type="number" step=${typesOf(schema).includes("number") ? "any" : 1} min=${schema.minimum} max=${schema.maximum} defaultValue=${value ?? ""} required=${required} aria-describedby=${described} />`
     : html`<input id=${path} name=${path} type="text" class=${isWritten(schema) ? "mono" : ""} placeholder=${isWritten(schema) ? (typesOf(schema)[0] === "array" ? "[…]" : "JSON") : null} defaultValue=${value === null || value === undefined ? "" : isWritten(schema) && typeof value !== "string" ? JSON.stringify(value) : value} required=${required} aria-describedby=${described} />`;
-  return html`<div class="field"><label for=${path}>${title(path)}</label><div class="in">${input}${schema.unit && html`<span class="u">${schema.unit}</span>`}</div>${schema.description && html`<small id=${described}>${schema.description}</small>`}</div>`;
+  return html`<div class="field"><label for=${path}>${title(path)}</label><div class="in">${input}${schema.unit && html`<span class="u">${schema.unit}</span>`}</div>${what}</div>`;
 }
 
 /** What a form says of the properties of a schema; what is empty is left out, and where `sparse` what is as its default, too. Text that is no JSON stays text. */

@@ -17,7 +17,7 @@ const utc = (value) => Date.parse(value);
 const words = (text) => String(text ?? "").replaceAll("_", " ");
 
 /** Full hours, or less, that fit. */
-function ticks(t0, t1, px) {
+export function ticks(t0, t1, px) {
   const every = [1, 2, 5, 10, 15, 30, 60, 120, 180, 360].find((minutes) => ((t1 - t0) / 6e4 / minutes) * 58 < px) * 6e4;
   const out = [];
   for (let t = Math.ceil(t0 / every) * every; t <= t1; t += every) out.push(t);
@@ -26,7 +26,7 @@ function ticks(t0, t1, px) {
 
 /** The same bands are drawn each second. */
 const known = new Map();
-function twilightOf(t0, t1, site) {
+export function twilightOf(t0, t1, site) {
   const name = `${site.lat} ${site.lon} ${t0} ${t1}`;
   if (!known.has(name)) {
     if (known.size > 60) known.clear();
@@ -35,19 +35,23 @@ function twilightOf(t0, t1, site) {
   return known.get(name);
 }
 
-/** From an hour before sunset to an hour after sunrise, around a moment. */
-export function nightSpan(site, time, rows) {
+/** Sunset and sunrise of the night around a moment, or of the next one; null where that is not known. */
+export function nightAround(site, time) {
   const moment = Math.floor(time / 6e5) * 6e5;
-  const dark = site ? twilightOf(moment - 18 * HOUR, moment + 18 * HOUR, site).filter((band) => band.kind !== "day") : [];
-  let [from, to] = [moment - 6 * HOUR, moment + 6 * HOUR];
   const groups = [];
-  for (const band of dark) {
+  for (const band of site ? twilightOf(moment - 18 * HOUR, moment + 18 * HOUR, site).filter((one) => one.kind !== "day") : []) {
     const last = groups[groups.length - 1];
     if (last && band.from - last[1] < 6e4) last[1] = band.to;
     else groups.push([band.from, band.to]);
   }
-  const mine = groups.find(([a, b]) => moment >= a - HOUR && moment <= b + HOUR) ?? groups.find(([a]) => a > moment);
-  if (mine) [from, to] = [mine[0] - HOUR, mine[1] + HOUR];
+  return groups.find(([a, b]) => moment >= a - HOUR && moment <= b + HOUR) ?? groups.find(([a]) => a > moment) ?? null;
+}
+
+/** From an hour before sunset to an hour after sunrise, around a moment. */
+export function nightSpan(site, time, rows) {
+  const moment = Math.floor(time / 6e5) * 6e5;
+  const mine = nightAround(site, time);
+  let [from, to] = mine ? [mine[0] - HOUR, mine[1] + HOUR] : [moment - 6 * HOUR, moment + 6 * HOUR];
   for (const row of rows) {
     if (utc(row.start_utc) > from - 6 * HOUR && utc(row.start_utc) < from) from = utc(row.start_utc);
     if (utc(row.end_utc) < to + 6 * HOUR && utc(row.end_utc) > to) to = utc(row.end_utc);
@@ -78,7 +82,7 @@ export function blocksOf(done, rows) {
 }
 
 /** Width of an element, as it changes. */
-function useWidth(place, least) {
+export function useWidth(place, least) {
   const width = useSignal(900);
   useEffect(() => {
     const observer = new ResizeObserver(() => { if (place.current) width.value = Math.max(least, place.current.clientWidth); });
@@ -135,7 +139,7 @@ function named(curves, right, top, now) {
 export const Keys = ({ ahead = "forecast" }) => [["b-done", "exposed"], ["b-next", ahead], ["b-stop", "closed for weather"], ["b-gone", "fault, or not known"]].map(([cls, text]) =>
   html`<span class="key bar-key" key=${cls}><svg width="18" height="12" aria-hidden="true"><rect class=${cls} x="1" y="1" width="16" height="10" rx="2" /></svg>${text}</span>`);
 
-const bands = (t0, t1, site, X, y, height) => site && twilightOf(t0, t1, site).map((band) => html`<rect key=${band.from} class=${`tw-${band.kind}`} x=${X(band.from).toFixed(1)} y=${y} width=${(X(band.to) - X(band.from) + 0.6).toFixed(1)} height=${height} />`);
+export const bands = (t0, t1, site, X, y, height) => site && twilightOf(t0, t1, site).map((band) => html`<rect key=${band.from} class=${`tw-${band.kind}`} x=${X(band.from).toFixed(1)} y=${y} width=${(X(band.to) - X(band.from) + 0.6).toFixed(1)} height=${height} />`);
 
 /**
  * `rows`: windows with status; `plan`: rows of a forecast with `runs_utc` and `altitude_curve`; `report`: of the night; `verdicts`: intervals of the

@@ -1,0 +1,150 @@
+// A draft of a schedule: its text, what was done to it and can be undone, and the one that the server stores for all who edit. What is not stored yet survives
+// a reload in this tab; where two people changed it, both texts are kept until one of them decides.
+import { computed, signal } from "./lib.js";
+import { ask } from "./api.js";
+import { difference, rowsOf } from "./rowtext.js";
+
+export const base = (id) => `/api/v1/telescopes/${id}/schedule`;
+const JSONL = { "Content-Type": "application/jsonl" };
+const MOST_STEPS = 100;
+/** The longest text that the server takes, bytes. */
+const MOST_BYTES = 1_000_000;
+
+/** A text of a schedule with its ETag: the one in force, or a version of before. */
+export async function textAt(path) {
+  const response = await fetch(path, { headers: { Accept: "application/jsonl" } });
+  if (!response.ok) throw new Error((await response.json().catch(() => null))?.detail ?? `The server answered ${response.status}.`);
+  return { text: await response.text(), etag: (response.headers.get("etag") ?? "").replaceAll('"', "") };
+}
+
+/** The draft of a telescope, as signals and what can be done with it. */
+export function draftOf(id) {
+  const name = `${base(id)}/drafts/page`;
+  const inTab = `draft ${id}`;
+  const text = signal(null);
+  /** The schedule in force, `{ text, etag }`. */
+  const inForce = signal(null);
+  /** The ETag of the schedule in force with which the draft was compared last. */
+  const basedOn = signal(null);
+  /** The draft at the server as it was read or stored last; null where there is none. */
+  const stored = signal(null);
+  /** The draft of somebody else, stored after this one was read. */
+  const theirs = signal(null);
+  /** Why it is to be activated, as far as that is known. */
+  const reason = signal("");
+  const past = signal([]);
+  const future = signal([]);
+  const rows = computed(() => rowsOf(text.value ?? ""));
+  const changes = computed(() => (text.value === null || !inForce.value ? [] : difference(inForce.value.text, text.value)));
+  const isStored = computed(() => text.value === (stored.value ?? inForce.value)?.text);
+  let reading = null;
+
+  const keep = () => {
+    try {
+      if (isStored.value) sessionStorage.removeItem(inTab);
+      else sessionStorage.setItem(inTab, JSON.stringify({ text: text.peek(), etag: stored.peek()?.etag ?? null, basedOn: basedOn.peek() }));
+    } catch {
+      // Without such a place it lasts as long as the page.
+    }
+  };
+  const kept = () => {
+    try {
+      const found = JSON.parse(sessionStorage.getItem(inTab));
+      return typeof found?.text === "string" ? found : null;
+    } catch {
+      return null;
+    }
+  };
+  const atServer = () => ask(name).catch((error) => { if (error.status !== 404) throw error; return null; });
+  const readInForce = async () => { inForce.value = await textAt(base(id)); };
+
+  /** Reads it, once; what this tab has kept is newer than what is stored. */
+  const read = () => (reading ??= (async () => {
+    const [found] = await Promise.all([atServer(), readInForce()]);
+    const own = kept();
+    const other = own && found && own.etag !== found.etag && own.text !== found.text;
+    stored.value = other ? { etag: own.etag } : found;
+    theirs.value = other ? found : null;
+    basedOn.value = own?.basedOn ?? found?.based_on ?? inForce.peek().etag;
+    text.value = own?.text ?? (found ?? inForce.peek()).text;
+    keep();
+  })().catch((error) => { reading = null; throw error; }));
+
+  /** Another text, with words for what was done; steps of one `kind` that follow each other are undone together. */
+  const edit = (next, what, kind = null) => {
+    if (next === text.peek()) return;
+    const last = past.peek()[past.peek().length - 1];
+    if (!kind || last?.kind !== kind || future.peek().length) past.value = [...past.peek(), { text: text.peek(), what, kind }].slice(-MOST_STEPS);
+    future.value = [];
+    text.value = next;
+    keep();
+  };
+  const step = (from, to) => () => {
+    const last = from.peek()[from.peek().length - 1];
+    if (!last) return;
+    to.value = [...to.peek(), { ...last, text: text.peek(), kind: null }];
+    from.value = from.peek().slice(0, -1);
+    text.value = last.text;
+    keep();
+  };
+
+  /** Stores it; false where somebody else stored another one meanwhile, which is then in `theirs` until that is decided. */
+  const store = async () => {
+    if (theirs.peek()) return false;
+    const sent = text.peek();
+    const etag = stored.peek()?.etag;
+    try {
+      const about = await ask(name, { method: "PUT", headers: { ...JSONL, ...(etag ? { "If-Match": `"${etag}"` } : { "If-None-Match": "*" }) }, body: sent });
+      stored.value = { ...about, text: sent };
+    } catch (error) {
+      if (error.status !== 412) throw error;
+      const found = await atServer();
+      // Somebody removed it: the next time it is made anew.
+      stored.value = found && found.text !== sent ? stored.peek() : found;
+      theirs.value = found && found.text !== sent ? found : null;
+      if (!found) return store();
+    }
+    keep();
+    return theirs.peek() === null;
+  };
+  const takeTheirs = () => {
+    const found = theirs.peek();
+    stored.value = found;
+    theirs.value = null;
+    edit(found.text, `the draft of ${found.author}`);
+    keep();
+  };
+  /** Stores this one over the other, to which undoing leads. */
+  const keepMine = () => {
+    const [found, mine] = [theirs.peek(), text.peek()];
+    stored.value = found;
+    theirs.value = null;
+    edit(found.text, "mine over theirs");
+    edit(mine, `over the draft of ${found.author}`);
+    return store();
+  };
+  /** The schedule in force again, and no draft at the server. */
+  const startOver = async () => {
+    const etag = stored.peek()?.etag;
+    if (etag) await ask(name, { method: "DELETE", headers: { "If-Match": `"${etag}"` } }).catch((error) => { if (error.status !== 404) throw error; });
+    stored.value = null;
+    await readInForce();
+    basedOn.value = inForce.peek().etag;
+    edit(inForce.peek().text, "starting over");
+    keep();
+  };
+  const upload = async (file) => {
+    if (file.size > MOST_BYTES) throw new Error(`${file.name} has ${file.size} bytes; a schedule that is put over the network has at most ${MOST_BYTES}.`);
+    edit(await file.text(), `upload of ${file.name}`);
+  };
+  /** Puts it in force in the place of the one with which it is compared; gives the command, or null where it could not be stored first. */
+  const activate = async (why) => {
+    if (!(await store())) return null;
+    const command = await ask(`${name}/activate`, { method: "POST", headers: { "Content-Type": "application/json", "Idempotency-Key": `${Date.now()}-${Math.random()}`, "If-Match": `"${inForce.peek().etag}"`, Prefer: "wait=10" }, body: JSON.stringify({ reason: why }) })
+      .catch(async (error) => { if (error.status === 412) await readInForce(); throw error; });
+    // Once it is in force nobody needs the draft; whoever edits next begins with what is in force.
+    if (command.state === "done") await startOver().catch(() => {});
+    return command;
+  };
+  return { text, inForce, basedOn, stored, theirs, reason, past, future, rows, changes, isStored, read, readInForce, edit, undo: step(past, future), redo: step(future, past), store, takeTheirs, keepMine, startOver, upload, activate, seen: () => { basedOn.value = inForce.peek().etag; keep(); } };
+}
