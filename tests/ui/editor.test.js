@@ -55,8 +55,9 @@ async function edit(on = page) {
   await becomes(() => draft(on), (text) => lines(text).length > 0, "the draft has rows");
 }
 
-/** Writes a text, and waits until its rows are drawn. */
+/** Writes a text, and waits until its rows are drawn over the night of the site. */
 async function write(text, rows) {
+  await page.locator('[data-testid="draft-line"] .tw-night').waitFor();
   await area().fill(text);
   await becomes(() => page.locator('[data-testid="draft-bar"]').count(), rows, "each row has its bar");
 }
@@ -133,6 +134,10 @@ test("arrow keys move a row by a minute and with Shift by ten, an end as well, a
   await button("Undo: start of object SN 2026x").click();
   await button("Undo: moving object SN 2026x").click();
   await becomes(draft, WRITTEN);
+  // The row that runs would not go on: it is not in this text.
+  await button("Activate …").click();
+  await page.getByRole("dialog").locator("p", { hasText: "object WASP-18 runs and is not in it unchanged" }).waitFor();
+  await page.keyboard.press("Escape");
   // In the text the same is one key.
   await area().press("Control+Shift+z");
   await becomes(async () => timesOf(await draft(), "SN 2026x"), ["2026-11-27T03:11:00Z", "2026-11-27T05:11:00Z"]);
@@ -179,13 +184,13 @@ test("a new row begins with a template of its action: what this telescope did la
   await becomes(() => templates.getByRole("button").count(), 10, "one for each action");
   await templates.getByRole("button", { name: /^object/ }).click();
   const values = (...labels) => Promise.all(labels.map((label) => form.getByLabel(label, { exact: true }).inputValue()));
-  assert.deepEqual(await values("Camera", "Object", "Exptime", "Filter", "From, UTC", "Until, UTC"), ["camera", "SN 2026x", "120", "R", "2026-11-27T05:00:00Z", "2026-11-27T06:59:00Z"]);
+  assert.deepEqual(await values("Camera", "Object", "Exptime", "Filter", "From, UTC", "Until, UTC"), ["camera", "SN 2026x", "120", "R", "2026-11-27T05:00:00Z", "2026-11-27T07:00:00Z"]);
   assert.deepEqual(await form.getByLabel("Filter", { exact: true }).locator("option").allTextContents(), ["—", "R", "B", "V", "I", "Clear"]);
   await form.getByLabel("Object", { exact: true }).fill("TOI-700");
   await form.getByLabel("Exptime", { exact: true }).fill("30.5");
   await form.getByRole("button", { name: "Put it into the draft" }).click();
   await form.waitFor({ state: "detached" });
-  const row = '{"device_name":"camera","action_type":"object","action_value":{"object":"TOI-700","exptime":30.5,"ra":24.35,"dec":-45.68,"filter":"R"},"start_time":"2026-11-27T05:00:00Z","end_time":"2026-11-27T06:59:00Z"}';
+  const row = '{"device_name":"camera","action_type":"object","action_value":{"object":"TOI-700","exptime":30.5,"ra":24.35,"dec":-45.68,"filter":"R"},"start_time":"2026-11-27T05:00:00Z","end_time":"2026-11-27T07:00:00Z"}';
   await becomes(draft, WRITTEN.replace("\n// the end", `\n${row}\n// the end`), "it stands behind the last row");
 
   // Flats come with the light, with as many frames of each filter of the wheel.
@@ -204,8 +209,12 @@ test("a row is changed by its form wherever it stands, duplicated behind itself,
   await write(WRITTEN, 2);
   await area().evaluate((one, at) => { one.focus(); one.setSelectionRange(at, at); }, WRITTEN.indexOf("see the chart"));
   await area().press("ArrowRight");
-  await page.getByTestId("change-row").click();
+  await bar(2).locator(".body").press("Enter");
   const form = page.getByTestId("row-form");
+  await form.waitFor();
+  await page.keyboard.press("Escape");
+  await form.waitFor({ state: "detached" });
+  await page.getByTestId("change-row").click();
   await becomes(() => form.getByLabel("Exptime", { exact: true }).inputValue(), "120");
   await form.locator("summary").click();
   await form.getByLabel("N", { exact: true }).fill("12");
@@ -249,6 +258,7 @@ test("a version of before is compared, brought back as a draft, and in force onl
   assert.deepEqual(await bus.orders(), [], "nothing is ordered");
   await button("Activate …").click();
   const dialog = page.getByRole("dialog");
+  await dialog.locator("p", { hasText: "A row that runs goes on." }).waitFor();
   await becomes(() => dialog.getByLabel("Why").inputValue(), "back to version 2");
   await dialog.getByLabel("Why").fill("the clouds are gone");
   await dialog.getByRole("button", { name: "Activate", exact: true }).click();
@@ -341,6 +351,34 @@ test("a schedule that is put in force meanwhile is told, and is what the draft i
   await told.getByRole("button", { name: "I have seen it" }).click();
   await told.waitFor({ state: "detached" });
   await bus.put({ [key]: state });
+});
+
+test("where no schedule is in force, the draft begins empty, and a template fills it", TEST, async () => {
+  await page?.close();
+  await fetch(draftPath(), { method: "DELETE", headers: { "If-Match": "*" } });
+  await bus.reset();
+  page = await newPage(browser, { reducedMotion: "reduce", ...WIDE });
+  problems = problemsOf(page);
+  await page.route(`**/api/v1/telescopes/${ID}/schedule`, (route) => route.fulfill({ status: 404, json: { detail: "there is none" } }));
+  await page.goto(`${bus.url}/t/${ID}/schedule`);
+  await settled(page);
+  await button("Edit a draft").click();
+  await becomes(draft, "");
+  await page.locator('[data-testid="draft-line"] .tw-night').waitFor();
+  await page.getByTestId("add-row").click();
+  await page.getByTestId("templates").getByRole("button", { name: /^object/ }).click();
+  await page.getByTestId("row-form").getByRole("button", { name: "Put it into the draft" }).click();
+  const row = JSON.parse(await becomes(draft, (text) => text !== "", "a row"));
+  // Half past two in the night, the next minute, for an hour; the filter is one of the wheel's.
+  assert.match(row.start_time, /^2026-11-27 02:(29|3\d):00$/);
+  assert.equal(Date.parse(`${row.end_time}Z`) - Date.parse(`${row.start_time}Z`), 3600e3);
+  assert.deepEqual([row.device_name, row.action_type, row.action_value.filter], ["camera", "object", "B"]);
+  await button("Activate …").click();
+  await page.getByRole("dialog").getByLabel("Why").fill("the first night");
+  await page.getByRole("dialog").getByRole("button", { name: "Activate", exact: true }).click();
+  const [order] = await becomes(bus.orders, (all) => all.length > 0, "it is ordered");
+  assert.deepEqual(Object.keys(order.do.put_schedule), ["text"], "in the place of whichever there is");
+  assert.deepEqual(unexpected(), []);
 });
 
 test("a file is taken as the draft, and the draft as a file, with every comment", TEST, async () => {

@@ -1,7 +1,7 @@
 // A draft of a schedule: its text, what was done to it and can be undone, and the one that the server stores for all who edit. What is not stored yet survives
 // a reload in this tab; where two people changed it, both texts are kept until one of them decides.
 import { computed, signal } from "./lib.js";
-import { ask } from "./api.js";
+import { Failure, ask } from "./api.js";
 import { difference, rowsOf } from "./rowtext.js";
 
 export const base = (id) => `/api/v1/telescopes/${id}/schedule`;
@@ -12,8 +12,8 @@ const MOST_BYTES = 1_000_000;
 
 /** A text of a schedule with its ETag: the one in force, or a version of before. */
 export async function textAt(path) {
-  const response = await fetch(path, { headers: { Accept: "application/jsonl" } });
-  if (!response.ok) throw new Error((await response.json().catch(() => null))?.detail ?? `The server answered ${response.status}.`);
+  const response = await fetch(path, { headers: { Accept: "application/jsonl" } }).catch(() => { throw new Failure(0, { detail: "The server does not answer." }); });
+  if (!response.ok) throw new Failure(response.status, await response.json().catch(() => null));
   return { text: await response.text(), etag: (response.headers.get("etag") ?? "").replaceAll('"', "") };
 }
 
@@ -22,7 +22,7 @@ export function draftOf(id) {
   const name = `${base(id)}/drafts/page`;
   const inTab = `draft ${id}`;
   const text = signal(null);
-  /** The schedule in force, `{ text, etag }`. */
+  /** The schedule in force, `{ text, etag }`; where there is none an empty one without ETag. */
   const inForce = signal(null);
   /** The ETag of the schedule in force with which the draft was compared last. */
   const basedOn = signal(null);
@@ -30,8 +30,8 @@ export function draftOf(id) {
   const stored = signal(null);
   /** The draft of somebody else, stored after this one was read. */
   const theirs = signal(null);
-  /** Why it is to be activated, as far as that is known. */
-  const reason = signal("");
+  /** The version that was brought back, `{ text, number }`. */
+  let brought = null;
   const past = signal([]);
   const future = signal([]);
   const rows = computed(() => rowsOf(text.value ?? ""));
@@ -55,8 +55,9 @@ export function draftOf(id) {
       return null;
     }
   };
-  const atServer = () => ask(name).catch((error) => { if (error.status !== 404) throw error; return null; });
-  const readInForce = async () => { inForce.value = await textAt(base(id)); };
+  const orElse = (nothing) => (error) => { if (error.status !== 404) throw error; return nothing; };
+  const atServer = () => ask(name).catch(orElse(null));
+  const readInForce = async () => { inForce.value = await textAt(base(id)).catch(orElse({ text: "", etag: "" })); };
 
   /** Reads it, once; what this tab has kept is newer than what is stored. */
   const read = () => (reading ??= (async () => {
@@ -126,13 +127,19 @@ export function draftOf(id) {
   /** The schedule in force again, and no draft at the server. */
   const startOver = async () => {
     const etag = stored.peek()?.etag;
-    if (etag) await ask(name, { method: "DELETE", headers: { "If-Match": `"${etag}"` } }).catch((error) => { if (error.status !== 404) throw error; });
+    if (etag) await ask(name, { method: "DELETE", headers: { "If-Match": `"${etag}"` } }).catch(orElse(null));
     stored.value = null;
     await readInForce();
     basedOn.value = inForce.peek().etag;
     edit(inForce.peek().text, "starting over");
     keep();
   };
+  const bring = (old, number) => {
+    brought = { text: old, number };
+    edit(old, `version ${number}`);
+  };
+  /** Why it is to be activated, as far as that is known. */
+  const reason = () => (brought?.text === text.value ? `back to version ${brought.number}` : "");
   const upload = async (file) => {
     if (file.size > MOST_BYTES) throw new Error(`${file.name} has ${file.size} bytes; a schedule that is put over the network has at most ${MOST_BYTES}.`);
     edit(await file.text(), `upload of ${file.name}`);
@@ -140,11 +147,11 @@ export function draftOf(id) {
   /** Puts it in force in the place of the one with which it is compared; gives the command, or null where it could not be stored first. */
   const activate = async (why) => {
     if (!(await store())) return null;
-    const command = await ask(`${name}/activate`, { method: "POST", headers: { "Content-Type": "application/json", "Idempotency-Key": `${Date.now()}-${Math.random()}`, "If-Match": `"${inForce.peek().etag}"`, Prefer: "wait=10" }, body: JSON.stringify({ reason: why }) })
+    const command = await ask(`${name}/activate`, { method: "POST", headers: { "Content-Type": "application/json", "Idempotency-Key": `${Date.now()}-${Math.random()}`, "If-Match": inForce.peek().etag ? `"${inForce.peek().etag}"` : "*", Prefer: "wait=10" }, body: JSON.stringify({ reason: why }) })
       .catch(async (error) => { if (error.status === 412) await readInForce(); throw error; });
     // Once it is in force nobody needs the draft; whoever edits next begins with what is in force.
     if (command.state === "done") await startOver().catch(() => {});
     return command;
   };
-  return { text, inForce, basedOn, stored, theirs, reason, past, future, rows, changes, isStored, read, readInForce, edit, undo: step(past, future), redo: step(future, past), store, takeTheirs, keepMine, startOver, upload, activate, seen: () => { basedOn.value = inForce.peek().etag; keep(); } };
+  return { text, inForce, basedOn, stored, theirs, past, future, rows, changes, isStored, read, readInForce, edit, undo: step(past, future), redo: step(future, past), store, takeTheirs, keepMine, startOver, bring, reason, upload, activate, seen: () => { basedOn.value = inForce.peek().etag; keep(); } };
 }

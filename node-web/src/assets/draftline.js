@@ -8,7 +8,6 @@ import { TimeTools, useTimeView } from "./timeview.js";
 
 const MINUTE = 60e3;
 const HOUR = 60 * MINUTE;
-const LANE = 25;
 const SLIM = 10;
 const TOP = 22;
 const FOOT = 20;
@@ -42,7 +41,7 @@ const PARTS = { both: "Line", start: "Start of line", end: "End of line" };
 
 /**
  * `rows` and `inForce` as `rowsOf` gives them; `plan`: rows of a dry run; `chosen`: the row that is chosen, or null. `onChoose(row)` is told of a touch,
- * `onOpen(row)` of two, `onMove(row, [from, to], part, isKey)` of a drag that ended and of each press of a key.
+ * `onOpen(row)` of two or of Enter, `onMove(row, [from, to], part, isKey)` of a drag that ended and of each press of a key.
  */
 export function DraftLine({ rows, inForce, plan, site, now, chosen, onChoose, onOpen, onMove }) {
   const place = useRef(null);
@@ -51,7 +50,11 @@ export function DraftLine({ rows, inForce, plan, site, now, chosen, onChoose, on
   const W = useWidth(place, 280);
   const small = W < 560;
   const left = small ? 48 : 74;
+  // A finger needs more than a pointer.
+  const [laneH, reach] = small ? [38, 18] : [25, 12];
+  const barH = laneH - 7;
   const placed = rows.filter((one) => one.end > one.start);
+  const unread = rows.filter((one) => !(one.end > one.start));
   const mine = placed.map((one) => ({ start_utc: new Date(one.start).toISOString(), end_utc: new Date(one.end).toISOString() }));
   // A draft for another night is drawn over that one.
   const tonight = nightSpan(site, now, []);
@@ -67,8 +70,8 @@ export function DraftLine({ rows, inForce, plan, site, now, chosen, onChoose, on
   const before = inForce.filter((one) => one.end > one.start);
   const old = useMemo(() => lanesOf(before), [inForce]);
   const yDraft = TOP + chart + 8;
-  const yPlan = yDraft + Math.max(1, count) * LANE;
-  const yOld = yPlan + (plan ? LANE : 0) + 4;
+  const yPlan = yDraft + Math.max(1, count) * laneH;
+  const yOld = yPlan + (plan ? 25 : 0) + 4;
   const H = yOld + Math.max(2, old.count) * SLIM + 4 + FOOT;
   const path = (points) => points.map(([t, altitude], i) => (altitude > 0 ? `${i && points[i - 1][1] > 0 ? "L" : "M"}${X(t).toFixed(1)} ${Y(altitude).toFixed(1)}` : "")).join("");
   const track = (a, b, at) => { const out = []; if (site) for (let t = a; t <= b; t += 6e5) out.push([t, altaz(at(t), t, site).alt]); return out; };
@@ -105,6 +108,7 @@ export function DraftLine({ rows, inForce, plan, site, now, chosen, onChoose, on
   };
   const press = (one, part) => (event) => {
     if (event.key === "Escape") drag.value = null;
+    if (event.key === "Enter") onOpen(one);
     const side = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (!side || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
@@ -118,15 +122,15 @@ export function DraftLine({ rows, inForce, plan, site, now, chosen, onChoose, on
     const [a, b] = now_(one);
     if (b < t0 || a > t1) return null;
     const isChosen = chosen?.number === one.number;
-    const y = yDraft + lane.get(one) * LANE;
+    const y = yDraft + lane.get(one) * laneH;
     const x = X(Math.max(a, t0));
     const w = Math.max(3, X(Math.min(b, t1)) - x);
-    const reach = isChosen ? 12 : 0;
+    const out = isChosen ? reach : 0;
     const inner = Math.min(10, w / 4);
     const text = [`${words(one)}`, words(one).split(" ")[0]].find((word) => w > word.length * 6.4 + 16);
-    const end = (part, t, at) => t >= t0 && t <= t1 && html`<g key=${part} class="grip" ...${isChosen ? slider(one, part, t) : {}}><rect class="reach" data-part=${part} x=${part === "start" ? at - reach : at - inner} y=${y - (isChosen ? 3 : 0)} width=${reach + inner} height=${isChosen ? 26 : 20} />${isChosen && html`<rect class="knob" data-part=${part} x=${part === "start" ? at - 3 : at - 1} y=${y + 4} width="4" height="12" rx="2" />`}</g>`;
+    const end = (part, t, at) => t >= t0 && t <= t1 && html`<g key=${part} class="grip" ...${isChosen ? slider(one, part, t) : {}}><rect class="reach" data-part=${part} x=${part === "start" ? at - out : at - inner} y=${y - (isChosen ? 3 : 0)} width=${out + inner} height=${barH + (isChosen ? 8 : 2)} />${isChosen && html`<rect class="knob" data-part=${part} x=${part === "start" ? at - 3 : at - 1} y=${y + 4} width="4" height=${barH - 6} rx="2" />`}</g>`;
     return html`<g key=${`b${one.number}`} class="draft-bar" data-testid="draft-bar" data-row=${one.number} data-from=${new Date(a).toISOString()} data-to=${new Date(b).toISOString()} data-chosen=${isChosen} onPointerDown=${down(one)} onPointerMove=${move(one)} onPointerUp=${up(one)} onPointerCancel=${up(one)} onDblClick=${(event) => { event.stopPropagation(); onOpen(one); }}>
-      <title>${`line ${one.line}: ${nameOf(one.row)}, ${told(one)}`}</title><g class="body" ...${slider(one, "both", a)} onFocus=${() => onChoose(one)}><rect class=${isChosen ? "b-run" : "b-plan"} x=${x.toFixed(1)} y=${y + 1} width=${w.toFixed(1)} height="18" rx="3" />${text && html`<text x=${x + 8} y=${y + 14} class=${isChosen ? "on" : "in"}>${text}</text>`}</g>
+      <title>${`line ${one.line}: ${nameOf(one.row)}, ${told(one)}`}</title><g class="body" ...${slider(one, "both", a)} onFocus=${() => onChoose(one)}><rect class=${isChosen ? "b-run" : "b-plan"} x=${x.toFixed(1)} y=${y + 1} width=${w.toFixed(1)} height=${barH} rx="3" />${text && html`<text x=${x + 8} y=${y + barH / 2 + 5} class=${isChosen ? "on" : "in"}>${text}</text>`}</g>
       ${end("start", a, X(a))}${end("end", b, X(b))}</g>`;
   };
   const dragged = drag.value?.moved && placed.find((one) => one.number === drag.value.key);
@@ -146,5 +150,6 @@ export function DraftLine({ rows, inForce, plan, site, now, chosen, onChoose, on
     <text x=${left - 8} y=${yOld + 12} text-anchor="end">in force</text>${before.map((one, i) => piece("b-next", one.start, one.end, yOld + old.lane.get(one) * SLIM, SLIM - 3, `in force: ${nameOf(one.row)}, ${hourMinute(one.start)} to ${hourMinute(one.end)}`, `o${i}`))}
     <g pointer-events="none">${at !== null && at >= t0 && at <= t1 && html`<path class="cur" d=${`M${X(at)} ${TOP}V${H - FOOT}`} />`}
     ${now >= t0 && now <= t1 && html`<path class="now" d=${`M${X(now)} 6V${H - FOOT}`} /><rect class="nowflag" x=${Math.min(X(now) + 2, W - 66)} y="4" width="62" height="17" rx="4" /><text class="nowt" x=${Math.min(X(now) + 33, W - 35)} y="16.5" text-anchor="middle">now ${hourMinute(now)}</text>`}</g></svg></div>
-    <${TimeTools} view=${view} at=${at} id=${null} hint="Drag a bar or its ends, or use the arrow keys; elsewhere drag to look around." what=${dragged ? `${words(dragged)}: ${told(dragged)}` : under.map((one) => `${words(one)} ${told(one)}`).join(" · ")} /></div>`;
+    <${TimeTools} view=${view} at=${at} id=${null} hint="Drag a bar or its ends, or use the arrow keys; elsewhere drag to look around." what=${dragged ? `${words(dragged)}: ${told(dragged)}` : under.map((one) => `${words(one)} ${told(one)}`).join(" · ")} />
+    ${unread.length > 0 && html`<p class="why">Without a bar: ${unread.slice(0, 5).map((one) => `line ${one.line}`).join(", ")}${unread.length > 5 ? ` and ${unread.length - 5} more` : ""}, whose times are none, or the wrong way round.</p>`}</div>`;
 }

@@ -1,6 +1,6 @@
 // The editor of a draft: its rows over the night, its text with findings while it is written, forms and templates of rows, the dry run, and activation.
 import { html, useEffect, useMemo, useRef, useSignal } from "./lib.js";
-import { ask } from "./api.js";
+import { ask, useGet } from "./api.js";
 import { Changes } from "./changes.js";
 import { note } from "./close.js";
 import { base } from "./draft.js";
@@ -62,8 +62,8 @@ function Form({ id, rows, row, site, onDone, close }) {
   return html`<${RowForm} id=${id} row=${row} template=${template} cameras=${cameras} filters=${filters} onDone=${onDone} close=${close} />`;
 }
 
-/** `draft` as `draftOf` makes it; `revision` and `sha256` are of the schedule in force; `close` leaves the editor. */
-export function Editor({ id, draft, revision, sha256, site, close }) {
+/** `draft` as `draftOf` makes it; `revision` and `sha256` are of the schedule in force, `running` the starts of its rows that run; `close` leaves the editor. */
+export function Editor({ id, draft, revision, sha256, running, site, close }) {
   const { text, inForce, stored, theirs, past, future } = draft;
   const checked = useSignal(null);
   const dry = useSignal(null);
@@ -74,6 +74,7 @@ export function Editor({ id, draft, revision, sha256, site, close }) {
   const caret = useSignal(0);
   const area = useRef(null);
   const file = useRef(null);
+  const orders = useGet(`/api/v1/telescopes/${id}/commands/catalog`, 60).data;
   const press = (work) => async (...given) => {
     problem.value = null;
     try {
@@ -146,14 +147,17 @@ export function Editor({ id, draft, revision, sha256, site, close }) {
   };
   const { findings = [], errors = 0, warnings = 0 } = checked.value ?? {};
   const changes = draft.changes.value;
+  const ends = changes.filter(({ before }) => before && running.split(" ").some((utc) => Math.abs(Date.parse(utc) - before.start) < 1));
+  const order = Array.isArray(orders) ? orders.find((one) => one?.command === "put-schedule") : null;
+  const waits = errors > 0 ? `Activate and the dry run wait for ${errors === 1 ? "the error" : `${errors} errors`} below.` : theirs.value ? "Activate waits until it is decided whose draft it is." : order?.may === false ? `You may not activate: it needs the right ${order.right}.` : null;
   const isOld = inForce.value.etag !== draft.basedOn.value;
-  const step = (list, word, press) => { const told = list.length ? `${word}: ${list[list.length - 1].what}` : word; return html`<button class="btn quiet" data-testid=${word.toLowerCase()} disabled=${!list.length} title=${told} aria-label=${told} onClick=${press}>${word}</button>`; };
+  const step = (list, word, go) => { const told = list.length ? `${word}: ${list[list.length - 1].what}` : word; return html`<button class="btn quiet" data-testid=${word.toLowerCase()} disabled=${!list.length} title=${told} aria-label=${told} onClick=${go}>${word}</button>`; };
   const plan = dry.value?.text === text.value ? dry.value : null;
   return html`<${Card} label="Draft" cls="draft">
       <div class="row wrap"><div class="row wrap facts grow"><span>In force <b>version ${revision}</b></span><span>Draft <b data-testid="stored">${draft.isStored.value ? (stored.value ? `stored by ${stored.value.author}, ${clock(stored.value.changed_utc)}` : "as in force") : "not stored yet"}</b>, ${changes.length} ${changes.length === 1 ? "row differs" : "rows differ"}</span>
         <span data-testid="check">${checked.value?.error ? "not checked" : html`<span class=${errors ? "ink-p2" : ""}>${errors > 0 && html`<${Shape} n=${2} /> `}<b>${errors}</b> ${errors === 1 ? "error" : "errors"}</span>, <span class=${warnings ? "ink-p3" : ""}>${warnings > 0 && html`<${Shape} n=${3} /> `}<b>${warnings}</b> ${warnings === 1 ? "warning" : "warnings"}</span>, ${checked.value?.rows ?? "?"} rows`}</span></div>
-        <div class="row wrap">${step(past.value, "Undo", draft.undo)}${step(future.value, "Redo", draft.redo)}<button class="btn soft" disabled=${draft.isStored.value || theirs.value !== null} onClick=${press(draft.store)}>Store</button><button class="btn soft" disabled=${errors > 0} onClick=${press(simulate)}>Dry run</button><button class="btn main" disabled=${errors > 0 || theirs.value !== null} onClick=${() => { activating.value = true; }}>Activate …</button></div></div>
-      ${(errors > 0 || theirs.value) && html`<p class="why">${errors > 0 ? `Activate and the dry run wait for ${errors === 1 ? "the error" : `${errors} errors`} below.` : "Activate waits until it is decided whose draft it is."}</p>`}
+        <div class="row wrap">${step(past.value, "Undo", draft.undo)}${step(future.value, "Redo", draft.redo)}<button class="btn soft" disabled=${draft.isStored.value || theirs.value !== null} onClick=${press(draft.store)}>Store</button><button class="btn soft" disabled=${errors > 0} onClick=${press(simulate)}>Dry run</button><button class="btn main" disabled=${waits !== null} onClick=${() => { activating.value = true; }}>Activate …</button></div></div>
+      ${waits && html`<p class="why">${waits}</p>`}
       ${theirs.value && html`<div class="note p2" role="alert" data-testid="conflict"><span class="grow"><b>${theirs.value.author} stored another draft at ${clock(theirs.value.changed_utc)}.</b> Nothing is lost: below is how theirs differs from yours, and Undo leads to the one that you do not take.</span><span class="row"><button class="btn soft" onClick=${() => draft.takeTheirs()}>Take theirs</button><button class="btn soft" onClick=${press(draft.keepMine)}>Keep mine</button></span></div><${Changes} label="Their draft compared with yours" changes=${difference(text.value, theirs.value.text)} />`}
       ${isOld && html`<div class="note p3" data-testid="other-in-force"><span class="grow"><b>Another schedule was put in force since this draft began.</b> The difference below is to that one.</span><button class="btn soft" onClick=${draft.seen}>I have seen it</button></div>`}
       ${problem.value && html`<div class="note p2" role="alert"><span class="grow">${problem.value.message}</span></div>`}<//>
@@ -165,5 +169,5 @@ export function Editor({ id, draft, revision, sha256, site, close }) {
     ${dry.value && html`<${Card} name="Dry run" flush testid="dry-run" end=${plan ? plan.night && `${plan.night.frames} frames, ${number(plan.night.gigabytes, 1)} GB, ${duration(plan.night.dark_exposed_s)} of ${duration(plan.night.dark_s)} dark time exposed` : "before the last change"}>
       <${Table} label="Dry run" cls="cards" columns=${[{ key: "r", name: "Row" }, { key: "b", name: "Runs" }, { key: "f", name: "Frames", num: true }, { key: "n", name: "Outcome" }]} rows=${dry.value.rows} keyOf=${(row) => row.row} cells=${(row) => html`<td class="k">${row.row + 1} ${[row.action, row.object].filter(Boolean).join(" ")}</td><td>${row.start_utc ? `${clock(row.start_utc)} to ${row.end_utc ? clock(row.end_utc) : "—"}` : "will not run"}</td><td class="num">${row.frames_wanted ? `${row.frames} of ${row.frames_wanted}` : row.frames || ""}</td><td class="m">${row.note ?? (row.whole === false ? "not whole" : "")}</td>`} /><//>`}
     <${Guard} name="The form">${form.value && html`<${Form} id=${id} rows=${rows} row=${form.value.row?.row ?? null} site=${site} onDone=${take} close=${() => { form.value = null; }} />`}<//>
-    ${activating.value && html`<${Dialog} label="Activate the draft" close=${() => { activating.value = false; }}><h2>Put this schedule in force?</h2><p class="m">${rows.length} rows take the place of those in force; ${changes.length} differ. A row that runs goes on if it is in both.</p><form class="stack" onSubmit=${press(activate)}><div class="field"><label for="why">Why</label><div class="in"><input id="why" name="reason" data-first maxlength="500" required defaultValue=${draft.reason.peek()} /></div></div><div class="acts"><button type="button" class="btn soft" onClick=${() => { activating.value = false; }}>Cancel</button><button class="btn main">Activate</button></div></form><//>`}`;
+    ${activating.value && html`<${Dialog} label="Activate the draft" close=${() => { activating.value = false; }}><h2>Put this schedule in force?</h2><p class="m">${rows.length} rows take the place of those in force; ${changes.length} differ. ${ends.length ? html`<b>${ends.map(({ before }) => nameOf(before.row)).join(", ")} runs and is not in it unchanged:</b> its frame is finished, then it ends.` : "A row that runs goes on."}</p><form class="stack" onSubmit=${press(activate)}><div class="field"><label for="why">Why</label><div class="in"><input id="why" name="reason" data-first maxlength="500" required defaultValue=${draft.reason()} /></div></div><div class="acts"><button type="button" class="btn soft" onClick=${() => { activating.value = false; }}>Cancel</button><button class="btn main">Activate</button></div></form><//>`}`;
 }

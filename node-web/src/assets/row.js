@@ -35,7 +35,7 @@ function parametersOf(form, schema, before) {
 /** One template for each action, with what it would do. */
 const Choice = ({ list, template, onChoose }) => html`<p class="m">Each begins with what this telescope did last, in the darkness of tonight that is left.</p><div class="stack" data-testid="templates">${list.map((action, i) => {
   const row = template(action);
-  return html`<button key=${action.name} type="button" class="btn soft template" data-first=${i === 0} onClick=${() => onChoose(action.name)}><b>${action.name}</b><span class="m grow cut">${[nameOf({ ...row, action_type: null }), row.action_value.filter].flat().filter((word) => typeof word === "string" && word).join(", ")}</span><span class="m">${hourMinute(timeOf(row.start_time))} – ${hourMinute(timeOf(row.end_time))}</span></button>`;
+  return html`<button key=${action.name} type="button" class="btn soft template" data-first=${i === 0 ? "" : null} onClick=${() => onChoose(action.name)}><b>${action.name}</b><span class="m grow cut">${[nameOf({ ...row, action_type: null }), row.action_value.filter].flat().filter((word) => typeof word === "string" && word).join(", ")}</span><span class="m">${hourMinute(timeOf(row.start_time))} – ${hourMinute(timeOf(row.end_time))}</span></button>`;
 })}</div>`;
 
 /** `row`: the row that is changed, or null for a new one, of which `template(action, list)` gives the beginning; `onDone(row)` takes it. */

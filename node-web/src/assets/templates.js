@@ -23,7 +23,7 @@ function windowOf(action, rows, skyActions, night, now, length) {
   const whole = (ms) => Math.ceil(ms / MINUTE) * MINUTE;
   const sky = rows.filter((one) => skyActions.has(one.row.action_type) && !FIRST.includes(one.row.action_type));
   const last = Math.max(now, ...sky.map((one) => one.end).filter(Number.isFinite));
-  const spanOf = (from, end) => [whole(from), end - from > 10 * MINUTE ? Math.floor(Math.min(end, from + length) / MINUTE) * MINUTE : whole(from + length)];
+  const spanOf = (from, end) => { const after = Math.round((whole(from) + length) / MINUTE) * MINUTE; return [whole(from), end - from > 10 * MINUTE ? Math.min(Math.floor(end / MINUTE) * MINUTE, after) : after]; };
   if (FIRST.includes(action.name)) return spanOf(Math.max(now, night.sunset), action.name === "open" ? night.to : night.from);
   if (action.name === "flats") return last < night.from - 10 * MINUTE ? spanOf(Math.max(last, night.sunset), night.from) : spanOf(Math.max(last, night.to), night.sunrise);
   // Where none of the darkness is free, its last part: a row begins when those before it have ended, which may be before their window does.

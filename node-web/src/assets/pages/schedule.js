@@ -5,7 +5,7 @@ import { Changes } from "../changes.js";
 import { base, draftOf, textAt } from "../draft.js";
 import { Editor } from "../editor.js";
 import { useForecast } from "../forecast.js";
-import { clock, hourMinute, nightOf } from "../format.js";
+import { clock, day, hourMinute, nightOf } from "../format.js";
 import { Keys, Night } from "../night.js";
 import { Card, Loaded, Table } from "../parts.js";
 import { difference } from "../rowtext.js";
@@ -35,7 +35,7 @@ function Version({ id, version, onBring }) {
   useEffect(() => {
     Promise.all([textAt(`${base(id)}/revisions/${number}`), textAt(base(id))]).then(([old, now]) => { found.value = { text: old.text, changes: difference(now.text, old.text) }; }, (error) => { problem.value = error; });
   }, [id, number]);
-  return html`<${Card} name=${`Version ${number}`} label="The version that is looked at" testid="version" flush end=${`${clock(at)}, ${author}${reason ? `: ${reason}` : ""}`}>
+  return html`<${Card} name=${`Version ${number}`} label="The version that is looked at" testid="version" flush end=${`${day(at)} ${clock(at)}, ${author}${reason ? `: ${reason}` : ""}`}>
     ${problem.value ? html`<div class="note p2" role="alert"><span class="grow">${problem.value.message}</span></div>` : !found.value ? html`<p class="m pad">Reading version ${number} …</p>`
       : html`<p class="m pad">${found.value.changes.length ? "This would change if it took the place of what is in force:" : "It has the rows of what is in force."}</p><${Changes} label=${`Version ${number} compared with the schedule in force`} changes=${found.value.changes} />
         <div class="row wrap pad"><button class="btn soft" onClick=${() => onBring(found.value.text, number)}>Bring this one back …</button><span class="why">It becomes the draft. Nothing is in force until you activate that.</span></div>`}<//>`;
@@ -47,7 +47,7 @@ function Versions({ id, sha256, onBring }) {
   const list = useGet(`${base(id)}/revisions?limit=${limit.value}`, 60);
   return html`<${Card} name="Schedules that were in force" flush><${Loaded} of=${list} what="The list">${(all) => html`<${Table} label="Versions" cls="cards" columns=${[{ key: "v", name: "Version" }, { key: "t", name: "From" }, { key: "a", name: "By" }, { key: "r", name: "Why" }, { key: "n", name: "Rows", num: true }, { key: "d", name: "" }]} rows=${all} keyOf=${(one) => one.version} rowProps=${(one) => ({ "data-testid": "version-row", "aria-selected": one.version === looked.value?.version })} cells=${(one) => html`<td class="k">${one.version}</td><td>${`${one.at_utc}`.slice(0, 10)} ${clock(one.at_utc)}</td><td>${one.author}</td><td>${one.reason ?? ""}</td><td class="num">${one.rows}</td><td>${one.sha256 === sha256 ? html`<span class="m">in force</span>` : html`<button class="btn sm soft" onClick=${() => { looked.value = one; }}>Differences<span class="vh"> of version ${one.version}</span></button>`}</td>`} />
       ${all.length >= limit.value && limit.value < MOST_LISTED && html`<p class="pad"><button class="btn sm soft" onClick=${() => { limit.value = Math.min(MOST_LISTED, 10 * limit.value); }}>Older ones</button></p>`}`}<//><//>
-    ${looked.value && html`<${Version} key=${looked.value.version} id=${id} version=${looked.value} onBring=${(text, number) => { looked.value = null; onBring(text, number); }} />`}`;
+    ${looked.value && html`<${Version} key=${`${looked.value.version} ${sha256}`} id=${id} version=${looked.value} onBring=${(text, number) => { looked.value = null; onBring(text, number); }} />`}`;
 }
 
 export function Schedule({ id }) {
@@ -61,16 +61,16 @@ export function Schedule({ id }) {
   const problem = useSignal(null);
   const report = useReport(id, skyNow() && nightOf(skyNow()));
   const close = () => { editing.value = false; };
+  const running = (Array.isArray(entry?.body.rows) ? entry.body.rows : []).filter((row) => row?.status === "running").map((row) => row.start_utc).join(" ");
   // Drawn for its own changes, not with each second.
-  const editor = useMemo(() => html`<${Editor} id=${id} draft=${draft} revision=${entry?.body.revision} sha256=${entry?.body.sha256} site=${site} close=${close} />`, [draft, entry?.body.revision, entry?.body.sha256, site?.lat, site?.lon]);
+  const editor = useMemo(() => html`<${Editor} id=${id} draft=${draft} revision=${entry?.body.revision} sha256=${entry?.body.sha256} running=${running} site=${site} close=${close} />`, [draft, entry?.body.revision, entry?.body.sha256, running, site?.lat, site?.lon]);
   if (!entry) return html`<p class="m">No schedule received yet.</p>`;
   const { rows, file, revision, refused } = entry.body;
   const bring = async (text, number) => {
     problem.value = null;
     try {
       await draft.read();
-      draft.edit(text, `version ${number}`);
-      draft.reason.value = `back to version ${number}`;
+      draft.bring(text, number);
       editing.value = true;
       scrollTo(0, 0);
     } catch (error) {
