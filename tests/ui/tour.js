@@ -13,7 +13,7 @@ const id = "demo/alpha";
 const PICTURES = [
   ["page.png", `/t/${id}`, { width: 1280, height: 1250 }, "dark"], ["screenshots/network.png", "/", { width: 1280, height: 1000 }, "dark"], ["screenshots/alerts.png", "/alerts", { width: 1280, height: 620 }, "light"],
   ["screenshots/weather.png", "/t/ridge/gamma/weather", WIDE, "dark"], ["screenshots/guiding.png", `/t/${id}/guiding`, WIDE, "dark"], ["screenshots/controls.png", `/t/${id}/controls`, WIDE, "light"],
-  ["screenshots/report.png", `/t/${id}/report`, WIDE, "light"], ["screenshots/phone-network.png", "/", PHONE, "dark"], ["screenshots/phone-telescope.png", "/t/ridge/delta", PHONE, "dark"], ["screenshots/phone-night.png", `/t/${id}/weather`, PHONE, "night"],
+  ["screenshots/schedule.png", `/t/${id}/schedule`, { width: 1280, height: 1120 }, "light"], ["screenshots/report.png", `/t/${id}/report`, WIDE, "light"], ["screenshots/phone-network.png", "/", PHONE, "dark"], ["screenshots/phone-telescope.png", "/t/ridge/delta", PHONE, "dark"], ["screenshots/phone-night.png", `/t/${id}/weather`, PHONE, "night"],
 ];
 
 const all = process.argv[2];
@@ -58,6 +58,11 @@ try {
     await page.setViewportSize(size);
     await shown(page, address, theme);
     if (address === `/t/${id}`) await page.locator('[data-testid="night"] .b-next').first().waitFor();
+    if (address.endsWith("/schedule")) {
+      await page.getByRole("button", { name: "Edit a draft" }).click();
+      await page.locator('[data-testid="draft-bar"][data-row="5"] .body').press("Shift+ArrowRight");
+      await page.getByTestId("findings").waitFor();
+    }
     if (address === "/") await page.locator('[data-testid="tile"][data-telescope="ridge/delta"][data-level="p1"]').waitFor();
     await page.screenshot({ path: join(docs, file) });
     console.log(`docs/${file}`);
