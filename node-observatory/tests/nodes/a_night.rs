@@ -253,10 +253,10 @@ async fn a_silent_monitor_closes_and_rows_that_need_no_sky_go_on() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_row_that_rests_for_a_silent_camera_goes_on_when_it_answers() {
-    let mut site = Site::new(1.0).await;
+    let mut site = Site::new(60.0).await;
     // Nobody sees the end of such a rest.
     site.more = "[faults]\nretries = 0\npause_s = 0.2\nrest_s = 3600\n";
-    site.write_schedule(&[("calibration", r#"{"exptime": [1], "n": [2]}"#, "02:00:00", "05:00:00")]);
+    site.write_schedule(&[("calibration", r#"{"exptime": [1], "n": [2]}"#, "02:00:00", "09:00:00")]);
     let reason = contract::NoData::new("timeout", "2 s");
     site.camera.state.send_modify(|state| state.link = contract::Link::Lost { reason });
     let node = site.start().await;
