@@ -264,7 +264,9 @@ test("a version of before is compared, brought back as a draft, and in force onl
   await dialog.getByRole("button", { name: "Activate", exact: true }).click();
   const [order] = await becomes(bus.orders, (all) => all.length > 0, "it is ordered");
   assert.deepEqual([order.do.put_schedule, order.reason], [{ text: old, instead_of: (await bus.states())[`${ID}/observatory/schedule/state`].sha256 }, "the clouds are gone"]);
-  await button("Edit a draft").waitFor();
+  await button("Edit a draft").click();
+  await page.locator('[data-testid="stored"]', { hasText: "as in force" }).waitFor();
+  assert.equal(await draft(), inForce, "the next one begins with what is in force");
   assert.equal(await page.evaluate(() => window.taken), undefined);
   assert.deepEqual(unexpected(), []);
 });

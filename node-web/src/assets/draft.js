@@ -1,7 +1,7 @@
 // A draft of a schedule: its text, what was done to it and can be undone, and the one that the server stores for all who edit. What is not stored yet survives
 // a reload in this tab; where two people changed it, both texts are kept until one of them decides.
 import { computed, signal } from "./lib.js";
-import { Failure, ask } from "./api.js";
+import { Failure, ask, command } from "./api.js";
 import { difference, rowsOf } from "./rowtext.js";
 
 export const base = (id) => `/api/v1/telescopes/${id}/schedule`;
@@ -126,10 +126,10 @@ export function draftOf(id) {
   };
   /** The schedule in force again, and no draft at the server. */
   const startOver = async () => {
+    await readInForce();
     const etag = stored.peek()?.etag;
     if (etag) await ask(name, { method: "DELETE", headers: { "If-Match": `"${etag}"` } }).catch(orElse(null));
     stored.value = null;
-    await readInForce();
     basedOn.value = inForce.peek().etag;
     edit(inForce.peek().text, "starting over");
     keep();
@@ -144,14 +144,13 @@ export function draftOf(id) {
     if (file.size > MOST_BYTES) throw new Error(`${file.name} has ${file.size} bytes; a schedule that is put over the network has at most ${MOST_BYTES}.`);
     edit(await file.text(), `upload of ${file.name}`);
   };
-  /** Puts it in force in the place of the one with which it is compared; gives the command, or null where it could not be stored first. */
+  /** Puts this very text in force in the place of the one with which it is compared; gives the command. Whoever edits next begins with what is in force. */
   const activate = async (why) => {
-    if (!(await store())) return null;
-    const command = await ask(`${name}/activate`, { method: "POST", headers: { "Content-Type": "application/json", "Idempotency-Key": `${Date.now()}-${Math.random()}`, "If-Match": inForce.peek().etag ? `"${inForce.peek().etag}"` : "*", Prefer: "wait=10" }, body: JSON.stringify({ reason: why }) })
+    const instead = inForce.peek().etag;
+    const given = await command(id, "put-schedule", { reason: why, waitS: 10, text: text.peek(), ...(instead && { instead_of: instead }) })
       .catch(async (error) => { if (error.status === 412) await readInForce(); throw error; });
-    // Once it is in force nobody needs the draft; whoever edits next begins with what is in force.
-    if (command.state === "done") await startOver().catch(() => {});
-    return command;
+    if (given.state === "done") await startOver().catch(() => {});
+    return given;
   };
   return { text, inForce, basedOn, stored, theirs, past, future, rows, changes, isStored, read, readInForce, edit, undo: step(past, future), redo: step(future, past), store, takeTheirs, keepMine, startOver, bring, reason, upload, activate, seen: () => { basedOn.value = inForce.peek().etag; keep(); } };
 }

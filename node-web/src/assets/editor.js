@@ -142,8 +142,8 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
     activating.value = false;
     const say = note(`${id}: the schedule is being activated …`, true);
     const command = await draft.activate(why).catch((error) => { say(`${id}: not activated: ${error.message}`); throw error; });
-    say(command ? `${id}: the schedule is ${command.state}${command.detail ? `: ${command.detail}` : ""}` : `${id}: not activated: somebody else changed the draft.`);
-    if (command) close();
+    say(`${id}: the schedule is ${command.state}${command.detail ? `: ${command.detail}` : ""}`);
+    if (command.state !== "failed") close();
   };
   const { findings = [], errors = 0, warnings = 0 } = checked.value ?? {};
   const changes = draft.changes.value;

@@ -54,7 +54,9 @@ export function RowForm({ id, row, template, cameras, filters, onDone, close }) 
     event.preventDefault();
     const data = new FormData(form.current);
     const text = (name) => String(data.get(name) ?? "");
-    onDone({ ...row, device_name: text("device_name"), action_type: chosen.value, action_value: parametersOf(form.current, action?.schema, isKept && typeof row.action_value === "object" ? row.action_value ?? {} : {}), start_time: text("start_time"), end_time: text("end_time"), programme: text("programme") || undefined });
+    const value = parametersOf(form.current, action?.schema, isKept && typeof row.action_value === "object" ? row.action_value ?? {} : {});
+    const isLeftOut = isKept && (row.action_value ?? null) === null && !Object.keys(value).length;
+    onDone({ ...row, device_name: text("device_name"), action_type: chosen.value, action_value: isLeftOut ? row.action_value : value, start_time: text("start_time"), end_time: text("end_time"), programme: text("programme") || undefined });
   };
   const text = (name, label, hint) => html`<div class="field"><label for=${name}>${label}</label><div class="in"><input id=${name} name=${name} defaultValue=${begin?.[name] ?? ""} required=${name !== "programme"} list=${name === "device_name" ? "cameras" : null} /></div>${hint && html`<small>${hint}</small>`}</div>`;
   const title = row ? "Change a row" : "Add a row";
