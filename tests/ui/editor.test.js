@@ -410,6 +410,7 @@ test("names that are markup, or very long, stay text, and the editor fits in eve
     await page.locator('[data-testid="chosen"] .end', { hasText: `line ${number + 1}` }).waitFor();
     assert.equal(await tooWide(page), null);
   }
+  await bar(1).locator(".b-err").waitFor();
   await page.getByTestId("findings").getByRole("button").first().click();
   await becomes(() => area().evaluate((one) => one.value.slice(0, one.selectionStart).split("\n").length), 2, "a finding leads to its line");
   assert.deepEqual(await looks(page, "editor"), []);

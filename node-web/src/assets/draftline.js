@@ -40,10 +40,10 @@ export function shifted({ start, end }, part, by) {
 const PARTS = { both: "Line", start: "Start of line", end: "End of line" };
 
 /**
- * `rows` and `inForce` as `rowsOf` gives them; `plan`: rows of a dry run; `chosen`: the row that is chosen, or null. `onChoose(row)` is told of a touch,
+ * `rows` and `inForce` as `rowsOf` gives them; `marked`: the worst finding of a line; `plan`: rows of a dry run; `chosen`: the row that is chosen, or null. `onChoose(row)` is told of a touch,
  * `onOpen(row)` of two or of Enter, `onMove(row, [from, to], part, isKey)` of a drag that ended and of each press of a key.
  */
-export function DraftLine({ rows, inForce, plan, site, now, chosen, onChoose, onOpen, onMove }) {
+export function DraftLine({ rows, marked, inForce, plan, site, now, chosen, onChoose, onOpen, onMove }) {
   const place = useRef(null);
   const hover = useSignal(null);
   const drag = useSignal(null);
@@ -115,7 +115,8 @@ export function DraftLine({ rows, inForce, plan, site, now, chosen, onChoose, on
     event.stopPropagation();
     onMove(one, shifted(one, part, side * (event.shiftKey ? 10 : 1) * MINUTE), part, true);
   };
-  const slider = (one, part, at) => ({ tabindex: 0, role: "slider", "aria-label": `${PARTS[part]} ${one.line}, ${nameOf(one.row)}`, "aria-orientation": "horizontal", "aria-valuemin": Math.round(from / MINUTE), "aria-valuemax": Math.round(to / MINUTE), "aria-valuenow": Math.round(at / MINUTE),
+  const isWrong = (one) => Array.from({ length: one.lines }, (_, i) => marked.get(one.line + i)).includes("error");
+  const slider = (one, part, at) => ({ tabindex: 0, role: "slider", "aria-label": `${PARTS[part]} ${one.line}, ${nameOf(one.row)}${isWrong(one) ? ", has an error" : ""}`, "aria-orientation": "horizontal", "aria-valuemin": Math.round(from / MINUTE), "aria-valuemax": Math.round(to / MINUTE), "aria-valuenow": Math.round(at / MINUTE),
     "aria-valuetext": part === "both" ? told(one) : hourMinute(at), onKeyDown: press(one, part) });
 
   const bar = (one) => {
@@ -130,7 +131,7 @@ export function DraftLine({ rows, inForce, plan, site, now, chosen, onChoose, on
     const text = [`${words(one)}`, words(one).split(" ")[0]].find((word) => w > word.length * 6.4 + 16);
     const end = (part, t, at) => t >= t0 && t <= t1 && html`<g key=${part} class="grip" ...${isChosen ? slider(one, part, t) : {}}><rect class="reach" data-part=${part} x=${part === "start" ? at - out : at - inner} y=${y - (isChosen ? 3 : 0)} width=${out + inner} height=${barH + (isChosen ? 8 : 2)} />${isChosen && html`<rect class="knob" data-part=${part} x=${part === "start" ? at - 3 : at - 1} y=${y + 4} width="4" height=${barH - 6} rx="2" />`}</g>`;
     return html`<g key=${`b${one.number}`} class="draft-bar" data-testid="draft-bar" data-row=${one.number} data-from=${new Date(a).toISOString()} data-to=${new Date(b).toISOString()} data-chosen=${isChosen} onPointerDown=${down(one)} onPointerMove=${move(one)} onPointerUp=${up(one)} onPointerCancel=${up(one)} onDblClick=${(event) => { event.stopPropagation(); onOpen(one); }}>
-      <title>${`line ${one.line}: ${nameOf(one.row)}, ${told(one)}`}</title><g class="body" ...${slider(one, "both", a)} onFocus=${() => onChoose(one)}><rect class=${isChosen ? "b-run" : "b-plan"} x=${x.toFixed(1)} y=${y + 1} width=${w.toFixed(1)} height=${barH} rx="3" />${text && html`<text x=${x + 8} y=${y + barH / 2 + 5} class=${isChosen ? "on" : "in"}>${text}</text>`}</g>
+      <title>${`line ${one.line}: ${nameOf(one.row)}, ${told(one)}`}</title><g class="body" ...${slider(one, "both", a)} onFocus=${() => onChoose(one)}><rect class=${isChosen ? "b-run" : isWrong(one) ? "b-err" : "b-plan"} x=${x.toFixed(1)} y=${y + 1} width=${w.toFixed(1)} height=${barH} rx="3" />${text && html`<text x=${x + 8} y=${y + barH / 2 + 5} class=${isChosen ? "on" : "in"}>${text}</text>`}</g>
       ${end("start", a, X(a))}${end("end", b, X(b))}</g>`;
   };
   const dragged = drag.value?.moved && placed.find((one) => one.number === drag.value.key);
