@@ -2,7 +2,7 @@
 import { html, useEffect, useMemo, useRef, useSignal } from "./lib.js";
 import { altaz, moon } from "./astro.js";
 import { hourMinute } from "./format.js";
-import { bands, nightSpan, ticks, useWidth } from "./night.js";
+import { bands, fitted, named, nightSpan, ticks, useWidth } from "./night.js";
 import { nameOf } from "./rowtext.js";
 import { TimeTools, useTimeView } from "./timeview.js";
 
@@ -76,10 +76,12 @@ export function DraftLine({ rows, marked, inForce, plan, site, now, chosen, onCh
   const path = (points) => points.map(([t, altitude], i) => (altitude > 0 ? `${i && points[i - 1][1] > 0 ? "L" : "M"}${X(t).toFixed(1)} ${Y(altitude).toFixed(1)}` : "")).join("");
   const track = (a, b, at) => { const out = []; if (site) for (let t = a; t <= b; t += 6e5) out.push([t, altaz(at(t), t, site).alt]); return out; };
   const hasPlace = ({ row }) => Number.isFinite(row.action_value?.ra) && Number.isFinite(row.action_value?.dec);
-  const curves = placed.filter(hasPlace).slice(0, MOST_CURVES);
   const now_ = (one) => (drag.value?.key === one.number && drag.value.moved ? drag.value.span : [one.start, one.end]);
   const words = (one) => nameOf(one.row).replace(/^object (?=.)/, "").replaceAll("_", " ");
   const told = (one) => { const [a, b] = now_(one); return `${hourMinute(a)} to ${hourMinute(b)}`; };
+
+  const curves = placed.filter(hasPlace).slice(0, MOST_CURVES).map((one) => { const [a, b] = now_(one); const at = () => one.row.action_value; return { one, isChosen: one.number === chosen?.number, whole: track(t0, t1, at), own: track(Math.max(t0, a), Math.min(t1, b), at) }; });
+  const names = named(curves.map(({ one, isChosen, own }) => ({ text: words(one), points: own.filter(([, altitude]) => altitude > 0).map(([t, altitude]) => [X(t), Y(altitude)]), cls: isChosen ? "h" : "c" })).sort((a, b) => (a.cls > b.cls ? -1 : 1)).filter((one, i, all) => all.findIndex(({ text }) => text === one.text) === i), W - 6, TOP, X(now));
 
   // A row that is chosen elsewhere comes into view.
   useEffect(() => {
@@ -128,7 +130,7 @@ export function DraftLine({ rows, marked, inForce, plan, site, now, chosen, onCh
     const w = Math.max(3, X(Math.min(b, t1)) - x);
     const out = isChosen ? reach : 0;
     const inner = Math.min(10, w / 4);
-    const text = [`${words(one)}`, words(one).split(" ")[0]].find((word) => w > word.length * 6.4 + 16);
+    const text = fitted([words(one)], w - 16);
     const end = (part, t, at) => t >= t0 && t <= t1 && html`<g key=${part} class="grip" ...${isChosen ? slider(one, part, t) : {}}><rect class="reach" data-part=${part} x=${part === "start" ? at - out : at - inner} y=${y - (isChosen ? 3 : 0)} width=${out + inner} height=${barH + (isChosen ? 8 : 2)} />${isChosen && html`<rect class="knob" data-part=${part} x=${part === "start" ? at - 3 : at - 1} y=${y + 4} width="4" height=${barH - 6} rx="2" />`}</g>`;
     return html`<g key=${`b${one.number}`} class="draft-bar" data-testid="draft-bar" data-row=${one.number} data-from=${new Date(a).toISOString()} data-to=${new Date(b).toISOString()} data-chosen=${isChosen} onPointerDown=${down(one)} onPointerMove=${move(one)} onPointerUp=${up(one)} onPointerCancel=${up(one)} onDblClick=${(event) => { event.stopPropagation(); onOpen(one); }}>
       <title>${`line ${one.line}: ${nameOf(one.row)}, ${told(one)}`}</title><g class="body" ...${slider(one, "both", a)} onFocus=${() => onChoose(one)}><rect class=${isChosen ? "b-run" : isWrong(one) ? "b-err" : "b-plan"} x=${x.toFixed(1)} y=${y + 1} width=${w.toFixed(1)} height=${barH} rx="3" />${text && html`<text x=${x + 8} y=${y + barH / 2 + 5} class=${isChosen ? "on" : "in"}>${text}</text>`}</g>
@@ -145,7 +147,7 @@ export function DraftLine({ rows, marked, inForce, plan, site, now, chosen, onCh
     ${ticks(t0, t1, W - left).map((t) => html`<g key=${`t${t}`}><path class="ax" d=${`M${X(t)} ${TOP}V${H - FOOT}`} /><text x=${X(t)} y=${H - 5} text-anchor="middle">${hourMinute(t)}</text></g>`)}<text x=${left - 8} y=${H - 5} text-anchor="end">UTC</text>
     ${[0, 30, 60].map((altitude) => html`<text key=${`a${altitude}`} x=${left - 8} y=${Y(altitude) + 4} text-anchor="end">${altitude ? `${altitude}°` : small ? "alt" : "altitude"}</text>`)}<path class="lim" d=${`M${left} ${Y(30)}H${W - 4}`} />
     <path class="ln moonln" d=${path(track(t0, t1, moon))} />
-    ${curves.map((one) => html`<g key=${`c${one.number}`}><path class="ln s4 ghost" d=${path(track(t0, t1, () => one.row.action_value))} /><path class=${`ln s4 ${chosen?.number === one.number ? "thick" : ""}`} d=${path(track(Math.max(t0, now_(one)[0]), Math.min(t1, now_(one)[1]), () => one.row.action_value))}><title>${words(one)}</title></path></g>`)}
+    ${curves.map(({ one, isChosen, whole: all, own }) => html`<g key=${`c${one.number}`}><path class="ln s4 ghost" d=${path(all)} /><path class=${`ln s4 ${isChosen ? "thick" : ""}`} d=${path(own)}><title>${words(one)}</title></path></g>`)}${names}
     <text x=${left - 8} y=${yDraft + 14} text-anchor="end">draft</text>${placed.map(bar)}
     ${plan && html`<text x=${left - 8} y=${yPlan + 14} text-anchor="end">dry run</text>${runs.map((one, i) => piece("b-next", one.a, one.b, yPlan + 1, 18, `${one.name}, ${hourMinute(one.a)} to ${hourMinute(one.b)}`, `p${i}`))}`}
     <text x=${left - 8} y=${yOld + 12} text-anchor="end">in force</text>${before.map((one, i) => piece("b-next", one.start, one.end, yOld + old.lane.get(one) * SLIM, SLIM - 3, `in force: ${nameOf(one.row)}, ${hourMinute(one.start)} to ${hourMinute(one.end)}`, `o${i}`))}

@@ -97,7 +97,7 @@ const ruler = /** @type {CanvasRenderingContext2D} */ (document.createElement("c
 const widthOf = (text) => { ruler.font = "550 11px Inter, sans-serif"; return ruler.measureText(text).width; };
 
 /** The longest of the texts for which there is room, px; else the last one, shortened; nothing where half of it does not fit. */
-function fitted(texts, room) {
+export function fitted(texts, room) {
   const whole = texts.find((text) => widthOf(text) <= room);
   if (whole) return whole;
   const last = texts[texts.length - 1];
@@ -117,7 +117,7 @@ function lane(bars, X, [t0, t1], y) {
 }
 
 /** Names of curves `{ points, text, cls }` in pixels, each above or below its curve where neither another name nor the line of now is in the way, or left out. */
-function named(curves, right, top, now) {
+export function named(curves, right, top, now) {
   const taken = [];
   return curves.filter(({ points }) => points.length > 1).map(({ points, text, cls }) => {
     const w = widthOf(text);

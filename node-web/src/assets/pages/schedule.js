@@ -3,7 +3,6 @@ import { html, useEffect, useMemo, useSignal } from "../lib.js";
 import { useGet, useReport } from "../api.js";
 import { Changes } from "../changes.js";
 import { base, draftOf, textAt } from "../draft.js";
-import { Editor } from "../editor.js";
 import { useForecast } from "../forecast.js";
 import { clock, day, hourMinute, nightOf } from "../format.js";
 import { Keys, Night } from "../night.js";
@@ -56,31 +55,35 @@ export function Schedule({ id }) {
   const entry = states?.get(`${id}/observatory/schedule/state`);
   const plan = useForecast(id);
   const site = useSite(id, null);
-  const editing = useSignal(false);
+  /** The editor while somebody edits, or null; it is asked for when it is needed. */
+  const Editor = useSignal(null);
   const draft = useMemo(() => draftOf(id), [id]);
   const problem = useSignal(null);
   const report = useReport(id, skyNow() && nightOf(skyNow()));
-  const close = () => { editing.value = false; };
-  const running = (Array.isArray(entry?.body.rows) ? entry.body.rows : []).filter((row) => row?.status === "running").map((row) => row.start_utc).join(" ");
-  // Drawn for its own changes, not with each second.
-  const editor = useMemo(() => html`<${Editor} id=${id} draft=${draft} revision=${entry?.body.revision} sha256=${entry?.body.sha256} running=${running} site=${site} close=${close} />`, [draft, entry?.body.revision, entry?.body.sha256, running, site?.lat, site?.lon]);
-  if (!entry) return html`<p class="m">No schedule received yet.</p>`;
-  const { rows, file, revision, refused } = entry.body;
-  const bring = async (text, number) => {
+  const close = () => { Editor.value = null; };
+  const edit = async (first = async () => {}) => {
     problem.value = null;
     try {
-      await draft.read();
-      draft.bring(text, number);
-      editing.value = true;
-      scrollTo(0, 0);
+      await first();
+      Editor.value = (await import("../editor.js")).Editor;
     } catch (error) {
       problem.value = error;
     }
   };
+  const running = (Array.isArray(entry?.body.rows) ? entry.body.rows : []).filter((row) => row?.status === "running").map((row) => row.start_utc).join(" ");
+  // Drawn for its own changes, not with each second.
+  const editor = useMemo(() => Editor.value && html`<${Editor.value} id=${id} draft=${draft} revision=${entry?.body.revision} sha256=${entry?.body.sha256} running=${running} site=${site} close=${close} />`, [Editor.value, draft, entry?.body.revision, entry?.body.sha256, running, site?.lat, site?.lon]);
+  if (!entry) return html`<p class="m">No schedule received yet.</p>`;
+  const { rows, file, revision, refused } = entry.body;
+  const bring = (text, number) => edit(async () => {
+    await draft.read();
+    draft.bring(text, number);
+    scrollTo(0, 0);
+  });
   return html`${problem.value && html`<div class="note p2" role="alert"><span class="grow">${problem.value.message}</span></div>`}
-    ${editing.value ? html`<div class="row wrap"><span class="grow m">Nothing of the draft is in force until it is activated.</span><button class="btn soft" onClick=${close}>Close the draft</button></div>${editor}`
+    ${editor ? html`<div class="row wrap"><span class="grow m">Nothing of the draft is in force until it is activated.</span><button class="btn soft" onClick=${close}>Close the draft</button></div>${editor}`
     : html`<${Card} name="The night" end=${html`<${Keys} />`} cls="tl"><${Night} rows=${rows} plan=${plan?.rows} report=${report.data} site=${site} now=${skyNow()} /><//>
     ${refused && html`<div class="note p2"><span class="grow"><b>The file's newest text was not taken.</b> ${refused}</span></div>`}
-    <${Card} name="Rows of tonight" flush end=${html`<span class="mono">${file}</span>, version ${revision} <button class="btn sm soft" onClick=${() => { editing.value = true; }}>Edit a draft</button>`}><${Rows} rows=${rows} plan=${plan} /><//>`}
+    <${Card} name="Rows of tonight" flush end=${html`<span class="mono">${file}</span>, version ${revision} <button class="btn sm soft" onClick=${() => edit()}>Edit a draft</button>`}><${Rows} rows=${rows} plan=${plan} /><//>`}
     <${Versions} id=${id} sha256=${entry.body.sha256} onBring=${bring} />`;
 }
