@@ -33,15 +33,8 @@ function Text({ draft, area, caret, marked, chosen }) {
   // What a bar has chosen is where a person goes on by the keyboard; a click says its own place after this.
   const enter = ({ target }) => { if (target.selectionStart === target.selectionEnd) target.setSelectionRange(caret.peek(), caret.peek()); };
   const write = (event) => { draft.edit(event.target.value, "typing", `typing in line ${event.target.value.slice(0, event.target.selectionStart).split("\n").length}`); moveCaret(event); };
-  // The browser's own steps would know nothing of what a bar or a form has changed.
-  const back = (event) => {
-    const step = event.type === "beforeinput" ? { historyUndo: draft.undo, historyRedo: draft.redo }[event.inputType] : (event.ctrlKey || event.metaKey) && { z: event.shiftKey ? draft.redo : draft.undo, y: draft.redo }[event.key.toLowerCase()];
-    if (!step) return;
-    event.preventDefault();
-    step();
-  };
   // The lines stand a second time behind the text, unseen: their numbers and colours are as high as what is wrapped.
-  return html`<div class="editor"><div class="code" aria-hidden="true">${lines.map((line, i) => html`<div key=${i} class=${chosen && i + 1 >= chosen.line && i + 1 < chosen.line + chosen.lines ? "sel" : ""}><span class=${`n ${marked.get(i + 1) ?? ""}`}>${i + 1}</span><span class="c">${line || " "}</span></div>`)}</div><textarea ref=${area} aria-label="Schedule, rows of JSON" spellcheck="false" autocapitalize="off" value=${text} onInput=${write} onKeyDown=${back} onBeforeInput=${back} onKeyUp=${moveCaret} onClick=${moveCaret} onFocus=${enter}></textarea></div>`;
+  return html`<div class="editor"><div class="code" aria-hidden="true">${lines.map((line, i) => html`<div key=${i} class=${chosen && i + 1 >= chosen.line && i + 1 < chosen.line + chosen.lines ? "sel" : ""}><span class=${`n ${marked.get(i + 1) ?? ""}`}>${i + 1}</span><span class="c">${line || " "}</span></div>`)}</div><textarea ref=${area} aria-label="Schedule, rows of JSON" spellcheck="false" autocapitalize="off" value=${text} onInput=${write} onKeyUp=${moveCaret} onClick=${moveCaret} onFocus=${enter}></textarea></div>`;
 }
 
 /** The row that is chosen, and what can be done with it. */
@@ -84,6 +77,17 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
     }
   };
   useEffect(() => { press(draft.read)(); }, [draft]);
+  // The browser's own steps would know nothing of what a bar or a form has changed.
+  useEffect(() => {
+    const back = (event) => {
+      const step = event.type === "beforeinput" ? { historyUndo: draft.undo, historyRedo: draft.redo }[event.inputType] : (event.ctrlKey || event.metaKey) && { z: event.shiftKey ? draft.redo : draft.undo, y: draft.redo }[event.key?.toLowerCase()];
+      if (!step || event.target.closest("input, select, dialog")) return;
+      event.preventDefault();
+      step();
+    };
+    for (const name of ["keydown", "beforeinput"]) document.addEventListener(name, back);
+    return () => { for (const name of ["keydown", "beforeinput"]) document.removeEventListener(name, back); };
+  }, [draft]);
   // Another one in force changes what this one would do.
   useEffect(() => { if (inForce.peek() && sha256 && sha256 !== inForce.peek().etag) press(draft.readInForce)(); }, [sha256]);
   // Findings come while it is written, and never hold up the writing.
