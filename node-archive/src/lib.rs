@@ -145,7 +145,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     let (on_disk, found) = rebuild::OnDisk::new(node.bus.clock().utc());
     tasks.spawn(rebuild::keep(node.clone(), database.clone(), incomplete.clone(), found));
     tasks.spawn(telemetry::keep(node.clone(), database.clone(), newest.clone()));
-    tasks.spawn(notify::keep_substituting(node.clone()));
+    tasks.spawn(notify::keep_substituting(node.clone(), None));
     tasks.spawn(diary::keep(node.clone(), database.clone()));
     tasks.spawn(audit::keep(node.clone(), database.clone()));
     tasks.spawn(happenings::keep(node.clone(), database.clone()));

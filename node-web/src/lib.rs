@@ -50,6 +50,7 @@ mod network;
 mod plain_errors;
 mod preview;
 mod problem;
+mod push;
 mod receive;
 mod ring;
 mod router;
@@ -110,7 +111,9 @@ pub async fn run(node: node::Node) -> anyhow::Result<()> {
     tasks.spawn(previews.clone().make());
     tasks.spawn(host.clone().measure(node.config.folders.data.clone()));
     tasks.spawn(forget(network.clone()));
-    tasks.spawn(notify::keep_substituting(node.clone()));
+    let push = push::open(&node)?;
+    tasks.spawn(notify::keep_substituting(node.clone(), Some(push.clone())));
+    tasks.spawn(push::follow_users(push.clone(), authentication.clone(), node.config.address()));
     tasks.spawn(authentication.clone().follow(node.alerts.clone(), address));
     tasks.spawn(renewal);
     let seconds = Arc::new(RecentStates::default());
@@ -129,6 +132,7 @@ pub async fn run(node: node::Node) -> anyhow::Result<()> {
         forecasts: Semaphore::new(server::FORECASTS),
         plans: Default::default(),
         tested: Default::default(),
+        push,
         sockets: Places::new(socket::ROOM),
         config: node.config.clone(),
     };

@@ -8,6 +8,7 @@ use bus::{Bus, MachineTime};
 use contract::Address;
 use local_http::Places;
 use node::Stop;
+use notify::push::Subscriptions;
 use orders::RecentStates;
 use tokio::sync::Semaphore;
 
@@ -47,6 +48,8 @@ pub struct Server {
     pub plans: Forecasts,
     /// When a test message was sent last: nobody's telephone is to ring without an end.
     pub tested: Mutex<Option<MachineTime>>,
+    /// Browsers that get alerts.
+    pub push: Arc<Subscriptions>,
     /// Sockets open now.
     pub sockets: Arc<Places>,
     /// The file of this node: the place of its site, and the limits of its telescope.

@@ -61,7 +61,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
 /// Prints what came of it for each receiver.
 async fn send_test_message(config: &Observatory) -> anyhow::Result<()> {
     let by = format!("starmesh check on {}", sysinfo::System::host_name().unwrap_or_default());
-    let sent = notify::send_test(config, &by, bus::Clock::machine_clock().utc()).await;
+    let sent = notify::send_test(config, None, &by, bus::Clock::machine_clock().utc()).await;
     if sent.is_empty() {
         bail!("no test message was sent: [alerts] names nobody who gets any");
     }

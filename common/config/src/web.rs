@@ -35,6 +35,8 @@ pub struct Web {
     pub public: Vec<String>,
     /// Requests of one user, or of one address, for which there is always room; for a moment twice as many.
     pub requests_per_s: u32,
+    /// Push services of the site's own network, each with scheme, host and port; those of browsers' makers need not be named.
+    pub push_services: Vec<String>,
     /// `[[web.webcam]]`: pictures of other servers that the page shows.
     pub webcam: Vec<Webcam>,
 }
@@ -63,21 +65,26 @@ fn a_minute() -> f64 {
 impl Webcam {
     /// Scheme, host and port, as a policy for browsers names a server; absent where the address is none of a picture.
     pub fn origin(&self) -> Option<&str> {
-        let scheme = ["https://", "http://"].into_iter().find(|scheme| self.url.starts_with(scheme))?;
-        let rest = self.url.get(scheme.len()..)?;
-        let (host, _) = rest.split_once(['/', '?']).unwrap_or((rest, ""));
-        let (name, port) = match host.rsplit_once(':') {
-            Some((name, port)) if !port.ends_with(']') => (name, Some(port)),
-            _ => (host, None),
-        };
-        let is_name = |name: &str| name.bytes().all(|b| b.is_ascii_alphanumeric() || b"-.".contains(&b));
-        let inner = name.strip_prefix('[').and_then(|name| name.strip_suffix(']'));
-        let is_host = !name.is_empty()
-            && inner.map_or_else(|| is_name(name), |address| address.parse::<std::net::Ipv6Addr>().is_ok());
-        let is_plain = self.url.bytes().all(|b| b.is_ascii_graphic() && !b"\"'<>\\^`{|}#".contains(&b));
-        let fits = is_host && is_plain && port.is_none_or(|port| port.parse::<u16>().is_ok_and(|port| port > 0));
-        fits.then(|| self.url.get(..scheme.len() + host.len())).flatten()
+        origin(&self.url)
     }
+}
+
+/// Scheme, host and port of an address of the web.
+fn origin(url: &str) -> Option<&str> {
+    let scheme = ["https://", "http://"].into_iter().find(|scheme| url.starts_with(scheme))?;
+    let rest = url.get(scheme.len()..)?;
+    let (host, _) = rest.split_once(['/', '?']).unwrap_or((rest, ""));
+    let (name, port) = match host.rsplit_once(':') {
+        Some((name, port)) if !port.ends_with(']') => (name, Some(port)),
+        _ => (host, None),
+    };
+    let is_name = |name: &str| name.bytes().all(|b| b.is_ascii_alphanumeric() || b"-.".contains(&b));
+    let inner = name.strip_prefix('[').and_then(|name| name.strip_suffix(']'));
+    let is_host = !name.is_empty()
+        && inner.map_or_else(|| is_name(name), |address| address.parse::<std::net::Ipv6Addr>().is_ok());
+    let is_plain = url.bytes().all(|b| b.is_ascii_graphic() && !b"\"'<>\\^`{|}#".contains(&b));
+    let fits = is_host && is_plain && port.is_none_or(|port| port.parse::<u16>().is_ok_and(|port| port > 0));
+    fits.then(|| url.get(..scheme.len() + host.len())).flatten()
 }
 
 impl Default for Web {
@@ -94,6 +101,7 @@ impl Default for Web {
             proxy_right: None,
             public: Vec::new(),
             requests_per_s: 20,
+            push_services: Vec::new(),
             webcam: Vec::new(),
         }
     }
@@ -139,6 +147,12 @@ impl Web {
         if let Some(path) = self.public.iter().find(|path| !path.starts_with('/') || path.contains(['?', '*', '%'])) {
             let what = format!("web.public: {path:?} is no path: expected one such as \"/api/heartbeat\"");
             found.push(("public", what));
+        }
+        if let Some(service) = self.push_services.iter().find(|service| origin(service) != Some(service.as_str())) {
+            let what = format!(
+                "web.push_services: {service:?}: expected scheme, host and port, such as \"https://push.example.lan:8443\""
+            );
+            found.push(("push_services", what));
         }
         if !(1..=10_000).contains(&self.requests_per_s) {
             let what = format!("web.requests_per_s = {}: expected 1 to 10000", self.requests_per_s);

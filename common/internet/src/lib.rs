@@ -2,12 +2,14 @@
 //!
 //! [`Client`] is the only such client; the crate `local_http` makes those for hardware and for our own addresses. TLS is done by rustls with
 //! ring and accepts the authorities that the host accepts ([`trust`]). reqwest, which the local clients use, stays without TLS: with it, each
-//! client that is made without a provider of cryptography would panic.
+//! client that is made without a provider of cryptography would panic. A client for addresses that strangers chose ([`Client::public`]) connects
+//! to the public internet alone.
 //!
 //! # Invariants
 //!
 //! - No message of an error contains the URL, because a URL may be a secret.
 
+mod names;
 pub mod trust;
 
 use std::path::Path;
@@ -20,11 +22,13 @@ use hyper_rustls::{HttpsConnector, HttpsConnectorBuilder};
 use hyper_util::client::legacy::connect::HttpConnector;
 use hyper_util::rt::TokioExecutor;
 
+use names::Names;
+
 pub use hyper::{Method, Request, Response, StatusCode, Uri, header, http::request};
 
 /// A client that follows no redirection, uses no proxy, and waits as long as its caller does.
 #[derive(Debug, Clone)]
-pub struct Client(hyper_util::client::legacy::Client<HttpsConnector<HttpConnector>, Full<Bytes>>);
+pub struct Client(hyper_util::client::legacy::Client<HttpsConnector<HttpConnector<Names>>, Full<Bytes>>);
 
 impl Client {
     /// A client for the server of a URL; `ca_file` holds authorities in addition to the host's. A server without TLS is
@@ -33,9 +37,26 @@ impl Client {
     /// # Errors
     /// The certificates cannot be read, or there are none and the server needs one.
     pub async fn new(url: &str, ca_file: Option<&Path>) -> anyhow::Result<Self> {
+        Self::to(url, ca_file, false).await
+    }
+
+    /// The same for a server that somebody else named: one without TLS is not reached, nor one whose name leads to an address of this host
+    /// or of a private network.
+    ///
+    /// # Errors
+    /// As for [`Client::new`].
+    pub async fn public(url: &str, ca_file: Option<&Path>) -> anyhow::Result<Self> {
+        Self::to(url, ca_file, true).await
+    }
+
+    async fn to(url: &str, ca_file: Option<&Path>, public_only: bool) -> anyhow::Result<Self> {
         let has_tls = url.parse::<Uri>().is_ok_and(|uri| uri.scheme_str() == Some("https"));
         let tls = if has_tls { trust::tls(ca_file).await? } else { trust::nobody()? };
-        let connector = HttpsConnectorBuilder::new().with_tls_config(tls).https_or_http().enable_http1().build();
+        let mut tcp = HttpConnector::new_with_resolver(Names::new(public_only));
+        tcp.enforce_http(false);
+        let connector = HttpsConnectorBuilder::new().with_tls_config(tls);
+        let connector = if public_only { connector.https_only() } else { connector.https_or_http() };
+        let connector = connector.enable_http1().wrap_connector(tcp);
         Ok(Self(hyper_util::client::legacy::Client::builder(TokioExecutor::new()).build(connector)))
     }
 
@@ -43,8 +64,8 @@ impl Client {
     ///
     /// # Errors
     /// The request makes no sense, or the server cannot be reached: with the reason and what to do.
-    pub async fn send(&self, request: request::Builder, body: String) -> anyhow::Result<Response<Incoming>> {
-        let request = request.header(header::USER_AGENT, "starmesh").body(Full::new(Bytes::from(body)));
+    pub async fn send(&self, request: request::Builder, body: impl Into<Bytes>) -> anyhow::Result<Response<Incoming>> {
+        let request = request.header(header::USER_AGENT, "starmesh").body(Full::new(body.into()));
         let request = request.context("its URL or its token has characters that no request may have")?;
         self.0.request(request).await.map_err(|error| match trust::explain(&error) {
             Some(why) => anyhow!(why),

@@ -13,6 +13,10 @@ const MOST_CHARS: usize = 1000;
 /// ntfy makes a file of a message of more bytes than 4,096.
 const MOST_BYTES_NTFY: usize = 3500;
 
+/// The parts of a message to a browser, which has at most some 3,900 bytes: in JSON a character can take two.
+const MOST_BYTES_TITLE: usize = 200;
+const MOST_BYTES_PART: usize = 500;
+
 /// What a test message has in the place of an alert's id.
 const TEST: &str = "test-message";
 
@@ -23,6 +27,17 @@ pub struct News {
     pub event: AlertEvent,
     /// The alert.
     pub alert: Alert,
+}
+
+/// A message to a browser.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Push {
+    /// What the service worker of the page shows.
+    pub content: Value,
+    /// A later message with the same tag takes the place of this one.
+    pub tag: String,
+    /// It should wake a device that saves power.
+    pub is_urgent: bool,
 }
 
 /// One message: one event, or all that gathered while a flood was held back.
@@ -92,24 +107,29 @@ impl Letter {
         text
     }
 
+    /// The priority of its most urgent alert.
+    fn priority(&self) -> Priority {
+        self.news.iter().map(|news| news.alert.priority).min().unwrap_or(Priority::Advisory)
+    }
+
+    /// Is something in it not over? What is over disturbs nobody's sleep.
+    fn is_bad(&self) -> bool {
+        self.news.iter().any(|news| news.event == AlertEvent::Raised)
+    }
+
     /// The content for a topic of ntfy: as urgent as its most urgent alert, and a touch on it opens the telescope's page.
     pub fn ntfy(&self, address: &Address, topic: &str, page: Option<&str>) -> Value {
-        let most_urgent = self.news.iter().map(|news| news.alert.priority).min();
-        let priority = match most_urgent.unwrap_or(Priority::Advisory) {
+        let priority = match self.priority() {
             Priority::Critical => 5,
             Priority::High => 4,
             Priority::Medium => 3,
             Priority::Advisory => 2,
         };
-        let is_bad = self.news.iter().any(|news| news.event == AlertEvent::Raised);
-        let text = self.text(address, None);
-        let end = text.floor_char_boundary(MOST_BYTES_NTFY);
-        let cut = if end < text.len() { " ..." } else { "" };
+        let is_bad = self.is_bad();
         let mut message = json!({
             "topic": topic,
             "title": self.subject(address),
-            "message": format!("{}{cut}", &text[..end]),
-            // What is over disturbs nobody's sleep.
+            "message": cut_bytes(&self.text(address, None), MOST_BYTES_NTFY),
             "priority": if is_bad { priority } else { priority.min(3) },
             "tags": [if is_bad { "telescope" } else { "white_check_mark" }],
         });
@@ -117,6 +137,43 @@ impl Letter {
             message["click"] = json!(link(page, address));
         }
         message
+    }
+
+    /// The message for a browser: what a person reads at a glance, and the telescope's page behind it.
+    pub fn push(&self, address: &Address) -> Push {
+        let part = |text: &str| cut_bytes(&printable(text), MOST_BYTES_PART);
+        let (tag, body) = match self.news.as_slice() {
+            [News { event, alert }] => {
+                let what = match event {
+                    AlertEvent::Raised => format!("What to do: {}", alert.action),
+                    AlertEvent::Acknowledged => {
+                        format!("Acknowledged by {}.", alert.acknowledged_by.as_deref().unwrap_or("somebody"))
+                    }
+                    AlertEvent::Returned => "Its cause is gone, and nobody has acknowledged it.".to_owned(),
+                    AlertEvent::Cleared => "It is over.".to_owned(),
+                };
+                (alert.id.clone(), format!("{}\n{}", part(&alert.cause), part(&what)))
+            }
+            all => {
+                let line = |News { event, alert }: &News| {
+                    format!("{} {}: {}\n", alert.priority.word(), event.word(), printable(&alert.id))
+                };
+                // Of another digest no event may be lost.
+                let first = all.first().map_or("none", |news| &news.alert.id);
+                (format!("several/{first}"), cut_bytes(&all.iter().map(line).collect::<String>(), 2 * MOST_BYTES_PART))
+            }
+        };
+        let tag = format!("{address}/{}", cut_bytes(&tag, MOST_BYTES_TITLE));
+        let (is_bad, priority) = (self.is_bad(), self.priority());
+        let content = json!({
+            "title": cut_bytes(&self.subject(address), MOST_BYTES_TITLE),
+            "body": body.trim_end(),
+            "tag": tag,
+            "url": link("", address),
+            "silent": !is_bad,
+            "stays": is_bad && priority == Priority::Critical,
+        });
+        Push { content, tag, is_urgent: is_bad && priority <= Priority::High }
     }
 
     /// The content for a webhook.
@@ -136,6 +193,12 @@ impl Letter {
 /// The telescope's page.
 fn link(page: &str, address: &Address) -> String {
     format!("{}/t/{}/{}", page.trim_end_matches('/'), address.site, address.telescope)
+}
+
+/// A text of at most so many bytes, and a sign where it goes on.
+fn cut_bytes(text: &str, most: usize) -> String {
+    let end = text.floor_char_boundary(most);
+    format!("{}{}", &text[..end], if end < text.len() { " ..." } else { "" })
 }
 
 /// A cause may contain a server's whole answer.
@@ -192,6 +255,35 @@ mod tests {
         let sent = short.ntfy(&address, "night", None);
         assert_eq!((&sent["priority"], sent.get("click")), (&json!(3), None));
         assert!(short.text(&address, Some("https://x.org")).ends_with("\nhttps://x.org/t/s/t"));
+    }
+
+    #[test]
+    fn a_message_to_a_browser_says_what_to_do_replaces_the_one_before_and_fits_whatever_a_node_publishes() {
+        let address = Address::new("s", "t").unwrap();
+        let mut short = letter(1, "c");
+        let sent = short.push(&address);
+        assert_eq!((sent.tag.as_str(), sent.is_urgent), ("s/t/dome-held/d0", true));
+        assert_eq!(sent.content["title"], "[s/t] high raised: dome-held/d0");
+        assert_eq!((&sent.content["url"], &sent.content["silent"]), (&json!("/t/s/t"), &json!(false)));
+        assert!(sent.content["body"].as_str().is_some_and(|body| body.starts_with("c\nWhat to do: ")), "{sent:?}");
+        short.news[0].event = AlertEvent::Cleared;
+        let over = short.push(&address);
+        assert_eq!((&over.tag, over.is_urgent, &over.content["silent"]), (&sent.tag, false, &json!(true)));
+        assert_eq!(over.content["body"], "c\nIt is over.");
+        short.news[0].alert.priority = Priority::Critical;
+        assert_eq!(short.push(&address).content["stays"], false);
+        for event in [AlertEvent::Raised, AlertEvent::Acknowledged] {
+            let mut long = letter(1, &"\"\u{e9}".repeat(5000));
+            (long.news[0].event, long.news[0].alert.id) = (event, "\\".repeat(5000));
+            (long.news[0].alert.action, long.news[0].alert.acknowledged_by) =
+                ("\"".repeat(5000), Some("\n".repeat(5000)));
+            for bytes in [
+                long.push(&address).content.to_string().len(),
+                letter(50, "\u{1}").push(&address).content.to_string().len(),
+            ] {
+                assert!(bytes < 3900, "{bytes}");
+            }
+        }
     }
 
     #[test]

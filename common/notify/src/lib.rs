@@ -1,4 +1,4 @@
-//! Sends alerts to people: webhooks, e-mail, and a ping whose absence is noticed elsewhere.
+//! Sends alerts to people: webhooks, e-mail, browsers that have subscribed ([`push`]), and a ping whose absence is noticed elsewhere.
 //!
 //! [`mailbox`], which is pure, decides what is due to each receiver; [`post`] runs one task per receiver, so that a
 //! receiver that hangs delays no other. Nothing here is in the safety path: the nodes hand over a list of alerts that
@@ -17,6 +17,7 @@ mod letter;
 mod mail;
 pub mod mailbox;
 mod post;
+pub mod push;
 mod safe;
 pub mod secret;
 mod sending;

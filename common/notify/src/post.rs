@@ -1,5 +1,6 @@
 //! One receiver's task: follows the alerts, sends what is due, tries again.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use bus::MachineTime;
@@ -15,6 +16,7 @@ use crate::http::{Ask, Http};
 use crate::letter::Letter;
 use crate::mail::{self, Mail};
 use crate::mailbox::{Mailbox, ReceiverSettings};
+use crate::push::{Subscription, Subscriptions};
 use crate::secret::secret;
 
 /// The name of the ping in the alert about it.
@@ -40,7 +42,7 @@ pub struct Receiver {
 pub struct TestSent {
     /// The receiver's name.
     pub receiver: String,
-    /// `webhook`, `ntfy` or `e-mail`.
+    /// `webhook`, `ntfy`, `e-mail` or `push`.
     pub way: &'static str,
     /// Why it was not taken; its server took it where this is absent.
     pub error: Option<String>,
@@ -55,6 +57,10 @@ enum Way {
         /// All addresses of this `[[alerts.email]]`.
         all: Vec<String>,
     },
+    Push {
+        subscriptions: Arc<Subscriptions>,
+        to: Subscription,
+    },
 }
 
 impl Way {
@@ -63,14 +69,25 @@ impl Way {
             Self::Webhook(hook) if hook.format == Format::Ntfy => "ntfy",
             Self::Webhook(_) => "webhook",
             Self::Email { .. } => "e-mail",
+            Self::Push { .. } => "push",
         }
     }
 }
 
-/// Sends all receivers of a configuration a message that tests whether it arrives, at the same time; `by` is who asks for it.
-pub async fn send_test(config: &config::Observatory, by: &str, now: Utc) -> Vec<TestSent> {
+/// Sends all receivers of a configuration, and all browsers that have subscribed, a message that tests whether it arrives, at the same
+/// time; `by` is who asks for it.
+pub async fn send_test(
+    config: &config::Observatory,
+    subscriptions: Option<&Arc<Subscriptions>>,
+    by: &str,
+    now: Utc,
+) -> Vec<TestSent> {
     let letter = &Letter::test(by, now);
-    let sent = receivers(&config.alerts).into_iter().map(async |receiver| {
+    let subscribed = subscriptions.map(|all| (all, all.watch().borrow().clone()));
+    let browsers = subscribed.into_iter().flat_map(|(all, known)| {
+        known.into_values().map(|to| browser(&config.alerts, all.clone(), to)).collect::<Vec<_>>()
+    });
+    let sent = receivers(&config.alerts).into_iter().chain(browsers).map(async |receiver| {
         let error = deliver(config, &mut Http::default(), &receiver.way, letter).await.err();
         let error = error.map(|error| format!("{error:#}"));
         TestSent { way: receiver.way.word(), receiver: receiver.name, error }
@@ -80,27 +97,36 @@ pub async fn send_test(config: &config::Observatory, by: &str, now: Utc) -> Vec<
 
 /// All receivers that are configured.
 pub fn receivers(alerting: &Alerting) -> Vec<Receiver> {
-    let receiver = |name: &str, min_priority: Priority, after_min: f64, way: Way| {
-        let settings = ReceiverSettings {
-            receiver: name.to_owned(),
-            min_priority,
-            after: Duration::from_secs_f64(after_min * 60.0),
-            most: alerting.flood_messages as usize,
-            window: Duration::from_secs_f64(alerting.flood_minutes * 60.0),
-            own_alert: AlertKind::AlertNotSent.id(name),
-        };
-        Receiver { name: name.to_owned(), settings, way }
-    };
-    let hooks = alerting.webhook.iter();
-    let hooks = hooks.map(|hook| receiver(&hook.name, hook.min_priority, hook.after_min, Way::Webhook(hook.clone())));
+    let hooks = alerting.webhook.iter().map(|hook| {
+        let (name, way) = (hook.name.clone(), Way::Webhook(hook.clone()));
+        receiver(alerting, name, hook.min_priority, hook.after_min, way)
+    });
     let mails = alerting.email.iter().flat_map(|email| email.to.iter().enumerate().map(move |at| (email, at)));
     let mails = mails.filter_map(|(email, (index, to))| {
         // Each address is a receiver of its own: `night` where it is alone, else `night/1` and so on.
         let name = if email.to.len() == 1 { email.name.clone() } else { format!("{}/{}", email.name, index + 1) };
         let way = Way::Email { smtp: alerting.smtp.clone()?, to: to.clone(), all: email.to.clone() };
-        Some(receiver(&name, email.min_priority, email.after_min, way))
+        Some(receiver(alerting, name, email.min_priority, email.after_min, way))
     });
     hooks.chain(mails).collect()
+}
+
+/// A browser that has subscribed.
+pub fn browser(alerting: &Alerting, subscriptions: Arc<Subscriptions>, to: Subscription) -> Receiver {
+    let (name, min_priority, after_min) = (to.receiver(), to.min_priority, to.after_min);
+    receiver(alerting, name, min_priority, after_min, Way::Push { subscriptions, to })
+}
+
+fn receiver(alerting: &Alerting, name: String, min_priority: Priority, after_min: f64, way: Way) -> Receiver {
+    let settings = ReceiverSettings {
+        receiver: name.clone(),
+        min_priority,
+        after: Duration::from_secs_f64(after_min * 60.0),
+        most: alerting.flood_messages as usize,
+        window: Duration::from_secs_f64(alerting.flood_minutes * 60.0),
+        own_alert: AlertKind::AlertNotSent.id(&name),
+    };
+    Receiver { name, settings, way }
 }
 
 /// Delivers for ever. An alert that is raised and clears during one delivery is not sent, unless it stays as cleared.
@@ -157,13 +183,13 @@ async fn deliver(config: &config::Observatory, http: &mut Http, way: &Way, lette
                 Some((server, topic)) => (server, letter.ntfy(&address, topic, page)),
                 None => (hook.url.as_str(), letter.json(&address, page)),
             };
-            let ask = Ask { method: Method::POST, url, token: token.as_deref(), body: body.to_string() };
-            http.ask(ask, ca_file).await
+            http.ask(Ask::new(Method::POST, url, token.as_deref(), body.to_string()), ca_file).await
         }
         Way::Email { smtp, to, all } => {
             let mail = Mail { to, all, subject: &letter.subject(&address), text: letter.text(&address, page) };
             mail::send(smtp, ca_file, mail).await
         }
+        Way::Push { subscriptions, to } => subscriptions.send(to, &letter.push(&address), http, ca_file).await,
     }
 }
 
@@ -198,7 +224,7 @@ pub async fn keep_pinging(node: Node, ping: Ping, is_well: impl Fn() -> bool) ->
             last_word(&node, PING, *silent_since.get_or_insert(now), now);
         }
         if is_well && now >= next {
-            let ask = Ask { method: Method::GET, url: &ping.url, token: None, body: String::new() };
+            let ask = Ask::new(Method::GET, &ping.url, None, String::new());
             let wait = match http.ask(ask, node.config.alerts.ca_file.as_deref()).await {
                 Ok(()) => {
                     failures = 0;

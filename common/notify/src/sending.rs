@@ -1,13 +1,20 @@
 //! One task per receiver, and one for the ping; a task that ends is started anew.
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+use std::sync::Arc;
 use std::time::Duration;
 
 use contract::observatory::{AlertKind, Alerts};
 use futures_util::future::join_all;
 use tokio::sync::watch;
-use tokio::task::JoinSet;
+use tokio::task::{AbortHandle, JoinSet};
 
 use crate::post;
+use crate::push::{Subscription, Subscriptions};
+
+/// A task that ended is started anew after this.
+const PAUSE: Duration = Duration::from_secs(10);
 
 /// Sends the `alerts` to all configured receivers, for ever; `None` while another node does.
 pub async fn keep_sending(node: node::Node, alerts: watch::Receiver<Option<Alerts>>) -> anyhow::Result<()> {
@@ -19,6 +26,54 @@ pub async fn keep_sending(node: node::Node, alerts: watch::Receiver<Option<Alert
     };
     join_all(post::receivers(&node.config.alerts).into_iter().map(deliver)).await;
     std::future::pending().await
+}
+
+/// Sends the `alerts` to the browsers that have subscribed, for ever; `None` while nothing is known of them.
+pub async fn keep_pushing(
+    node: node::Node,
+    subscriptions: Arc<Subscriptions>,
+    alerts: watch::Receiver<Option<Alerts>>,
+) -> anyhow::Result<()> {
+    let mut known = subscriptions.watch();
+    let mut tasks = JoinSet::new();
+    let mut running: BTreeMap<String, (Subscription, AbortHandle)> = BTreeMap::new();
+    loop {
+        let wanted = known.borrow_and_update().clone();
+        for (id, (subscription, task)) in &running {
+            if wanted.get(id) != Some(subscription) {
+                task.abort();
+            }
+        }
+        for (id, to) in &wanted {
+            if let Entry::Vacant(place) = running.entry(id.clone()) {
+                let receiver = post::browser(&node.config.alerts, subscriptions.clone(), to.clone());
+                let task = tasks.spawn(post::keep_delivering(node.clone(), receiver, alerts.clone()));
+                place.insert((to.clone(), task));
+            }
+        }
+        tokio::select! {
+            changed = known.changed() => changed?,
+            Some(ended) = tasks.join_next_with_id() => {
+                let task = ended.as_ref().map_or_else(tokio::task::JoinError::id, |(task, _)| *task);
+                let Some(id) = running.iter().find(|(_, (_, of))| of.id() == task).map(|(id, _)| id.clone()) else { continue };
+                let Some((was, _)) = running.remove(&id) else { continue };
+                let name = was.receiver();
+                match known.borrow().get(&id) {
+                    Some(now) if *now == was => {
+                        node.alerts.raise(AlertKind::AlertNotSent, &name, &format!("\"{name}\" gets no alerts: its task ended"));
+                    }
+                    // With other settings it goes on where it was.
+                    Some(now) if now.receiver() == name => continue,
+                    _ => {
+                        node.alerts.clear(AlertKind::AlertNotSent, &name);
+                        node.alerts.set_notifications(&name, Vec::new());
+                        continue;
+                    }
+                }
+                tokio::time::sleep(PAUSE).await;
+            }
+        }
+    }
 }
 
 /// Asks the configured URL in every period in which `is_well`, for ever.
@@ -44,6 +99,6 @@ where
             Some(Ok(Ok(()))) | None => "it ended".to_owned(),
         };
         node.alerts.raise(AlertKind::AlertNotSent, name, &format!("\"{name}\" gets no alerts: {why}"));
-        tokio::time::sleep(Duration::from_secs(10)).await;
+        tokio::time::sleep(PAUSE).await;
     }
 }

@@ -1,6 +1,7 @@
 //! Sends in the place of an observatory node that fell silent.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{Catch, MachineTime, Received};
@@ -11,7 +12,8 @@ use node::Node;
 use tokio::sync::watch;
 use units::Utc;
 
-use crate::sending::keep_sending;
+use crate::push::Subscriptions;
+use crate::sending::{keep_pushing, keep_sending};
 
 /// Alerts are published every 10 s; a node that is silent for longer than this no longer sends.
 const SILENCE: Duration = Duration::from_secs(60);
@@ -37,20 +39,34 @@ const FIGURE: &str = "stands_in_after_s";
 /// ends the observatory node may end one role with it; of one role the node with the first name sends. Shared devices have no
 /// observatory node: for them a node that stands in always sends.
 ///
+/// The browsers that have subscribed at this node are known to it alone: it sends to them all the time, what the observatory node publishes, and
+/// while that is silent what is published in its place.
+///
 /// # Errors
 ///
 /// The bus cannot be listened to.
-pub async fn keep_substituting(node: Node) -> anyhow::Result<()> {
-    let alerting = &node.config.alerts;
-    let timeout_s = alerting.send_when_observatory_silent_s;
-    if timeout_s <= 0.0 || !matches!(node.role, Role::Archive | Role::Web) {
+pub async fn keep_substituting(node: Node, subscriptions: Option<Arc<Subscriptions>>) -> anyhow::Result<()> {
+    let timeout_s = node.config.alerts.send_when_observatory_silent_s;
+    let stands_in = timeout_s > 0.0 && matches!(node.role, Role::Archive | Role::Web);
+    if !stands_in && subscriptions.is_none() {
         return std::future::pending().await;
     }
-    node.figure(FIGURE, Scalar::Float(timeout_s));
+    if stands_in {
+        node.figure(FIGURE, Scalar::Float(timeout_s));
+    }
     let (shown, alerts) = watch::channel(None);
+    let (followed, pushed) = watch::channel(None);
+    let pushing = async {
+        match subscriptions {
+            Some(subscriptions) => keep_pushing(node.clone(), subscriptions, pushed).await,
+            None => std::future::pending().await,
+        }
+    };
+    let timeout = stands_in.then(|| Duration::from_secs_f64(timeout_s));
     tokio::select! {
         result = keep_sending(node.clone(), alerts) => result,
-        result = keep_watching(&node, Duration::from_secs_f64(timeout_s), &shown) => result,
+        result = pushing => result,
+        result = keep_watching(&node, timeout, &shown, &followed) => result,
     }
 }
 
@@ -67,7 +83,8 @@ enum Presence {
 
 /// What is known of the observatory nodes of a telescope. Pure: time comes in.
 struct Observatories {
-    timeout: Duration,
+    /// They are silent after this; never where nobody stands in.
+    timeout: Option<Duration>,
     began: MachineTime,
     /// Shared devices have none.
     is_shared: bool,
@@ -84,12 +101,13 @@ impl Observatories {
 
     /// By the arrival of the newest alerts that one of them published.
     fn presence(&self, newest: Option<MachineTime>, now: MachineTime) -> Presence {
+        let Some(timeout) = self.timeout else { return Presence::Sends };
         if self.is_shared || (!self.stopped.is_empty() && self.stopped.values().all(|is_stopped| *is_stopped)) {
             return Presence::Absent;
         }
         let is_silent = match newest {
-            Some(arrived) => now.since(arrived) >= self.timeout,
-            None => now.since(self.began) >= self.timeout.max(START),
+            Some(arrived) => now.since(arrived) >= timeout,
+            None => now.since(self.began) >= timeout.max(START),
         };
         if is_silent { Presence::Silent } else { Presence::Sends }
     }
@@ -134,7 +152,13 @@ impl Elders {
 /// Nodes of one telescope; more are the invention of a faulty program.
 const MOST_NODES: usize = 64;
 
-async fn keep_watching(node: &Node, timeout: Duration, shown: &watch::Sender<Option<Alerts>>) -> anyhow::Result<()> {
+/// `shown` are the alerts while this node sends them; `followed` at any time.
+async fn keep_watching(
+    node: &Node,
+    timeout: Option<Duration>,
+    shown: &watch::Sender<Option<Alerts>>,
+    followed: &watch::Sender<Option<Alerts>>,
+) -> anyhow::Result<()> {
     let address = node.config.address();
     let merged = node.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
     let nodes = node.bus.subscribe::<Alerts>(Topic::Node(NodeTopic::Alerts).at(&address), Catch::Newest, 256).await?;
@@ -144,6 +168,7 @@ async fn keep_watching(node: &Node, timeout: Duration, shown: &watch::Sender<Opt
     let clock = node.bus.clock().clone();
     let mut last_silent: Option<MachineTime> = None;
     let mut silent_since: Option<MachineTime> = None;
+    let mut last_away: Option<MachineTime> = None;
     let mut observatories = Observatories {
         timeout,
         began: clock.machine(),
@@ -158,7 +183,10 @@ async fn keep_watching(node: &Node, timeout: Duration, shown: &watch::Sender<Opt
         let presence = observatories.presence(merged.get().map(|newest| newest.arrived), now);
         if presence == Presence::Silent {
             if now.since(*silent_since.get_or_insert(now)) >= FIRST_BEGIN {
-                let cause = format!("no observatory node of {address} has published for {} s", timeout.as_secs());
+                let cause = format!(
+                    "no observatory node of {address} has published for {} s",
+                    timeout.unwrap_or_default().as_secs()
+                );
                 // The time of the silence was its delay.
                 node.alerts.raise_at_once(AlertKind::NodeSilent, &instance, &cause);
                 last_silent = Some(now);
@@ -172,14 +200,16 @@ async fn keep_watching(node: &Node, timeout: Duration, shown: &watch::Sender<Opt
         received.retain(|_, (_, arrived)| now.since(*arrived) <= SILENCE);
         let lists = std::iter::once(own.borrow_and_update().clone());
         let active = merge(lists.chain(received.values().map(|(alerts, _)| alerts.clone())));
-        let last = merged.get().map(|last| last.sample.body).unwrap_or_default();
-        let all = in_its_place(active, last, clock.utc());
-        let now_shown = (presence != Presence::Sends && !elders.are_there(now)).then_some(all);
-        shown.send_if_modified(|shown| {
-            let is_new = *shown != now_shown;
-            *shown = now_shown;
-            is_new
-        });
+        let last = merged.get().map(|last| last.sample.body);
+        let in_its_place = in_its_place(active, last.clone().unwrap_or_default(), clock.utc());
+        let others_send = presence == Presence::Sends || elders.are_there(now);
+        if presence != Presence::Sends {
+            last_away = Some(now);
+        }
+        // An observatory node that returns has to learn first what others raised meanwhile.
+        let knows_all = last_away.is_none_or(|at| now.since(at) >= HOLD);
+        show(followed, if knows_all { last } else { Some(in_its_place.clone()) });
+        show(shown, (!others_send).then_some(in_its_place));
         tokio::select! {
             alerts = nodes.recv() => {
                 if let Key::Node(_, role, id, NodeTopic::Alerts) = alerts.key
@@ -199,6 +229,14 @@ async fn keep_watching(node: &Node, timeout: Duration, shown: &watch::Sender<Opt
             () = tokio::time::sleep(Duration::from_secs(1)) => {}
         }
     }
+}
+
+fn show(to: &watch::Sender<Option<Alerts>>, now: Option<Alerts>) {
+    to.send_if_modified(|shown| {
+        let is_new = *shown != now;
+        *shown = now;
+        is_new
+    });
 }
 
 /// The alerts that the silent node would publish: those of the other nodes now, and its own last ones, which nobody has
@@ -241,7 +279,7 @@ mod tests {
             stopped: stopped.map(|closed| Stopped { by: String::new(), closed: Some(closed) }),
         };
         let of = |is_shared, states: &[(&str, Option<bool>)]| {
-            let timeout = Duration::from_secs(20);
+            let timeout = Some(Duration::from_secs(20));
             let mut known = Observatories { timeout, began: at(0), is_shared, stopped: BTreeMap::new() };
             states.iter().for_each(|(id, stopped)| known.take(id.parse().unwrap(), &state(*stopped)));
             known
@@ -272,6 +310,8 @@ mod tests {
             ("shared devices have none", of(true, &[]), None, 1, Presence::Absent),
         ] {
             assert_eq!(known.presence(newest_s.map(at), at(now_s)), wanted, "{name}");
+            let nobody_stands_in = Observatories { timeout: None, ..known };
+            assert_eq!(nobody_stands_in.presence(newest_s.map(at), at(now_s)), Presence::Sends, "{name}");
         }
     }
 

@@ -11,6 +11,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test ends by panicking")]
 
+mod browser;
 mod dome_node;
 mod harness;
 mod header;
@@ -22,6 +23,7 @@ mod site;
 mod wait;
 mod web_server;
 
+pub use browser::Browser;
 pub use dome_node::DomeNode;
 pub use harness::{Harness, HarnessOptions, SITE, TELESCOPE};
 pub use header::header;

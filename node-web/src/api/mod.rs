@@ -4,6 +4,7 @@ mod astra;
 mod document_page;
 mod endpoint;
 mod openapi;
+mod push;
 mod schedules;
 
 use std::sync::Arc;
@@ -53,7 +54,7 @@ macro_rules! part {
 
 /// Every endpoint, in the order of the document.
 fn endpoints() -> Vec<Endpoint> {
-    [general(), schedules::endpoints()].into_iter().flatten().collect()
+    [general(), push::endpoints(), schedules::endpoints()].into_iter().flatten().collect()
 }
 
 /// All others.

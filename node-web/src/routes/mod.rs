@@ -12,6 +12,7 @@ pub mod network;
 pub mod page;
 pub mod parts;
 pub mod preview;
+pub mod push;
 pub mod records;
 pub mod reports;
 pub mod sessions;

@@ -21,16 +21,16 @@ const PAUSE: Duration = Duration::from_secs(10);
 pub struct TestMessages {
     /// The telescope whose receivers this node has in its file.
     telescope: String,
-    /// What came of each; empty where `[alerts]` names nobody.
+    /// What came of each; empty where `[alerts]` names nobody and no browser has subscribed.
     receivers: Vec<TestMessage>,
 }
 
 /// What came of the message to one receiver.
 #[derive(Debug, JsonSchema, Serialize)]
 pub struct TestMessage {
-    /// Its name in the configuration.
+    /// Its name in the configuration; of a browser `push/USER/ID`.
     name: String,
-    /// `webhook`, `ntfy` or `e-mail`.
+    /// `webhook`, `ntfy`, `e-mail` or `push`.
     way: &'static str,
     /// Why it was not sent; its server has taken it where this is absent.
     error: Option<String>,
@@ -55,7 +55,8 @@ pub async fn send(
         }
         *tested = Some(now);
     }
-    let sent = notify::send_test(&server.config, principal.name.as_str(), server.bus.clock().utc()).await;
+    let (by, now) = (principal.name.as_str(), server.bus.clock().utc());
+    let sent = notify::send_test(&server.config, Some(&server.push), by, now).await;
     tracing::info!(by = %principal.name, receivers = sent.len(), "a test message was sent to those who get alerts");
     let message = |one: notify::TestSent| TestMessage { name: one.receiver, way: one.way, error: one.error };
     Ok(Json(TestMessages { telescope: address.to_string(), receivers: sent.into_iter().map(message).collect() }))

@@ -15,6 +15,7 @@ mod history_is_asked_of_the_archive;
 mod legacy_addresses_answer_as_astra_did;
 mod limits_what_one_can_use;
 mod parts_and_metrics_are_fresh_or_absent;
+mod pushes_alerts_to_browsers;
 mod sends_test_messages;
 mod serves_page_image_and_socket;
 mod stage;

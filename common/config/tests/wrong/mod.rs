@@ -209,6 +209,12 @@ pub const WRONG: &[Wrong] = &[
     ("[safety]", "[web]\nproxy_user_header = \"Cookie\"\n[safety]", 9, &["web.proxy_user_header", "X-Remote-User"]),
     ("[safety]", "[web]\npublic = [\"api/heartbeat\"]\n[safety]", 9, &["web.public", "/api/heartbeat"]),
     ("[safety]", "[web]\nnames = [\"https://a\"]\n[safety]", 9, &["web.names", "without port"]),
+    (
+        "[safety]",
+        "[web]\npush_services = [\"http://a/b\"]\n[safety]",
+        9,
+        &["web.push_services", "scheme, host and port"],
+    ),
     ("[safety]", "[web]\nrequests_per_s = 0\n[safety]", 9, &["web.requests_per_s = 0", "1 to 10000"]),
     ("[safety]", "[web]\ninsecure_open = \"yes\"\n[safety]", 9, &["web.insecure_open", "true or false"]),
     ("[safety]", "[bus]\nlisten = [\"0.0.0.0:7447\"]\n[safety]", 9, &["bus.listen", "tcp/"]),
