@@ -19,11 +19,11 @@ export const LIMIT = 120_000;
 /** For a test, which waits several times. */
 export const TEST = { timeout: 10 * LIMIT };
 
-export const launch = () =>
+export const launch = (more = []) =>
   chromium.launch({
     executablePath: process.env.CHROMIUM ?? execFileSync("sh", ["-c", "command -v chromium"], { encoding: "utf8" }).trim(),
     args: ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-      "--disable-component-update", "--disable-sync"],
+      "--disable-component-update", "--disable-sync", ...more],
   });
 
 /** A page whose waits end when something hangs, and not before; `UI_SLOWER` says how many times slower it runs, which shows what a test takes for done too early. What a service worker asks for no test could replace, so there is none unless it is asked for. */

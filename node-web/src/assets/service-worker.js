@@ -1,5 +1,5 @@
 // Keeps what the page consists of, and the newest image of each telescope, so that it opens without its server. The network goes first:
-// nothing here is shown in the place of what a server that answers says.
+// nothing here is shown in the place of what a server that answers says. Shows alerts, also while no page is open.
 const worker = /** @type {any} */ (self);
 /** The page's files; the last picture of the telescopes, with their images, is in a store of its own, which ends with the session. */
 const [SHELL, PICTURE] = ["shell", "picture"];
@@ -59,4 +59,19 @@ worker.addEventListener("fetch", (event) => {
   // Each page is the same document. One is kept only from the page itself: the login page and what is not found are no shell.
   const key = isPage ? "/" : pathname;
   event.respondWith(networkFirst(event, key, async (response) => (await caches.open(SHELL)).put(key, response)));
+});
+
+// An alert: a later message about the same alert takes the place of this one, and only what is not over makes a sound.
+worker.addEventListener("push", (event) => {
+  const { title, body, tag, url, silent, stays } = event.data.json();
+  event.waitUntil(worker.registration.showNotification(title, { body, tag, silent, renotify: !silent, requireInteraction: stays, icon: "/assets/favicon.svg", data: { url } }));
+});
+// A page that is open elsewhere stays where it is: somebody may be writing there.
+worker.addEventListener("notificationclick", (event) => {
+  const { url } = event.notification.data;
+  event.notification.close();
+  event.waitUntil(worker.clients.matchAll({ type: "window" }).then((pages) => {
+    const shown = pages.find((page) => new URL(page.url).pathname === url);
+    return shown ? shown.focus() : worker.clients.openWindow(url);
+  }));
 });

@@ -23,14 +23,14 @@ const ASSETS: &[(&str, &[u8])] = assets! {
     "activity.js" "api.js" "app.js" "astro.js" "changes.js" "chart.js" "close.js" "corrections.js" "devicelist.js"
     "devices.js" "draft.js" "draftline.js" "editor.js" "favicon.svg" "forecast.js" "form.js" "format.js" "history.js"
     "image.js" "inputs.js" "lib.js" "live.css" "login.js" "look.js" "manifest.webmanifest" "night.js" "numbers.js"
-    "pages.js" "parts.js" "picture.js" "pixels.js" "plane.js" "route.js" "row.js" "rowtext.js" "service-worker.js"
-    "shell.js" "site.js" "sky.js" "starmesh.css" "store.js" "templates.js" "theme.js" "timeview.js" "user.js"
-    "viewer.js" "webcams.js" "fonts/LICENSE-Inter.txt" "fonts/LICENSE-JetBrainsMono.txt" "fonts/inter-var.woff2"
-    "fonts/jetbrains-mono.woff2" "pages/alerts.js" "pages/audit.js" "pages/controls.js" "pages/device.js"
-    "pages/focus.js" "pages/frame.js" "pages/frames.js" "pages/guiding.js" "pages/lightcurve.js" "pages/log.js"
-    "pages/network.js" "pages/nodes.js" "pages/report.js" "pages/schedule.js" "pages/settings.js" "pages/telescope.js"
-    "pages/users.js" "pages/wall.js" "pages/weather.js" "vendor/LICENSES.txt" "vendor/hooks.js" "vendor/htm.js" "vendor/preact.js"
-    "vendor/signals-core.js" "vendor/signals.js" "vendor/uplot.js"
+    "pages.js" "parts.js" "picture.js" "pixels.js" "plane.js" "push.js" "route.js" "row.js" "rowtext.js"
+    "service-worker.js" "shell.js" "site.js" "sky.js" "starmesh.css" "store.js" "templates.js" "theme.js" "timeview.js"
+    "user.js" "viewer.js" "webcams.js" "fonts/LICENSE-Inter.txt" "fonts/LICENSE-JetBrainsMono.txt"
+    "fonts/inter-var.woff2" "fonts/jetbrains-mono.woff2" "pages/alerts.js" "pages/audit.js" "pages/controls.js"
+    "pages/device.js" "pages/focus.js" "pages/frame.js" "pages/frames.js" "pages/guiding.js" "pages/lightcurve.js"
+    "pages/log.js" "pages/network.js" "pages/nodes.js" "pages/report.js" "pages/schedule.js" "pages/settings.js"
+    "pages/telescope.js" "pages/users.js" "pages/wall.js" "pages/weather.js" "vendor/LICENSES.txt" "vendor/hooks.js"
+    "vendor/htm.js" "vendor/preact.js" "vendor/signals-core.js" "vendor/signals.js" "vendor/uplot.js"
 };
 /// What lets the page open without this server.
 const SERVICE_WORKER: &str = "service-worker.js";

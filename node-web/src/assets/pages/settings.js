@@ -6,6 +6,7 @@ import { clock, day, duration } from "../format.js";
 import { Card, Dialog, Empty, Loaded, Segment, Table } from "../parts.js";
 import { choose, density, theme } from "../look.js";
 import { forgetPicture } from "../picture.js";
+import { DeviceAlerts } from "../push.js";
 import { RIGHTS, isEngineer, leave, me } from "../user.js";
 import { OwnPassword, Users } from "./users.js";
 
@@ -28,9 +29,9 @@ function Messages() {
   const { problem, receivers = [], telescope } = sent.value ?? {};
   const result = problem ? html`<p class="note p2" role="alert"><span class="grow">${problem}</span></p>`
     : receivers.length ? html`<ul class="list" role="status">${receivers.map((one) => html`<li key=${one.name}><b>${one.name}</b> <span class="m">${one.way}</span> ${one.error ? html`<span class="ink-p2">not sent: ${one.error}</span>` : "taken by its server: look whether it arrives"}</li>`)}</ul>`
-      : html`<p class="note p2" role="status"><span class="grow"><b>Nobody is told of alerts of ${telescope}.</b> [alerts] of its file names no receiver.</span></p>`;
+      : html`<p class="note p2" role="status"><span class="grow"><b>Nobody is told of alerts of ${telescope}.</b> [alerts] of its file names no receiver, and no browser gets them.</span></p>`;
   return html`<${Card} name="Messages to people" testid="messages" end=${html`<button class="btn sm soft" disabled=${sending.value} onClick=${send}>${sending.value ? "Sending …" : "Send a test message"}</button>`}>
-    <p class="m">Alerts go to telephones and mailboxes by [alerts] of the file of this server's telescope. A test message goes to all of them, and says that nothing is wrong.</p>${sent.value && result}<//>`;
+    <p class="m">Alerts go to telephones and mailboxes by [alerts] of the file of this server's telescope, and to browsers where they are switched on. A test message goes to all of them, and says that nothing is wrong.</p>${sent.value && result}<//>`;
 }
 
 function You() {
@@ -93,5 +94,5 @@ function Tokens() {
 const Rights = () => html`<${Card} name="The four rights"><div class="stack"><dl class="kv">${Object.entries(RIGHTS).map(([right, may]) => [html`<dt key=${right}><b>${right}</b></dt>`, html`<dd key=${`${right}d`}>${may}</dd>`])}</dl><p class="m">A right is for all telescopes, for those of a site, or for one. ${isEngineer() ? html`On the server's host, <code>starmesh user</code> does the same as this page, and sets a password that was forgotten.` : "An engineer of all telescopes gives and takes rights."}</p></div><//>`;
 
 export function Settings() {
-  return html`<div class="page-h"><h1 tabindex="-1">Settings and users</h1></div><div class="grid g2"><div class="stack"><${You} /><${Browser} /><${Messages} /></div><${Rights} /></div><${Users} /><${Sessions} /><${Tokens} />`;
+  return html`<div class="page-h"><h1 tabindex="-1">Settings and users</h1></div><div class="grid g2"><div class="stack"><${You} /><${Browser} /><${Messages} /><${DeviceAlerts} /></div><${Rights} /></div><${Users} /><${Sessions} /><${Tokens} />`;
 }
