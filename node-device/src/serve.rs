@@ -407,7 +407,8 @@ impl<D: Driver> Loop<D> {
         }
         self.link = Link::Lost { reason: reason.clone() };
         let instance = self.instance();
-        let cause = format!("{instance} at {} does not answer: {reason}", self.serve.common.server);
+        let why = reason.0.strip_prefix("transport: ").unwrap_or(&reason.0);
+        let cause = format!("{instance} at {} does not answer: {why}", self.serve.common.server);
         self.serve.node.alerts.raise(AlertKind::DeviceLost, &instance, &cause);
         // Also what was never read is missing for this reason.
         let clock = self.serve.node.bus.clock().clone();

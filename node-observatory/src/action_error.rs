@@ -37,7 +37,7 @@ pub enum ActionError {
         reason: String,
     },
     /// Something did not become true in time.
-    #[error("{device}: not {what} within {after_s:.0} s of machine time")]
+    #[error("{device}: not {what} within {after_s:.0} s")]
     Deadline {
         /// Who.
         device: String,

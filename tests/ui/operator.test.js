@@ -184,3 +184,14 @@ test("names of the bus are words for people, with the name as title", TEST, asyn
   await open("/t/ridge/gamma", WIDE);
   await page.locator('[data-testid="reasons"] li', { hasText: "when it can clear is not known" }).waitFor();
 });
+
+test("an alert whose cause went away calls nobody on the page of its telescope, and says so", TEST, async () => {
+  const gone = { id: "device-lost/telescope/mount", priority: "high", cause: "telescope/mount does not answer", consequence: "Rows wait.", action: "Look at its server.", raised_utc: "2026-11-27T01:50:00Z", returned_utc: "2026-11-27T02:10:00Z" };
+  await bus.put({ "demo/beta/observatory/alerts/state": { alerts: [gone] } });
+  await open("/t/demo/beta", WIDE);
+  const note = page.locator(`[data-testid="now"] [data-alert="${gone.id}"]`);
+  await note.getByText(/its cause went away at 02:10:00/).waitFor();
+  assert.equal(await note.locator(".pri.off").count(), 1);
+  assert.doesNotMatch(await note.getAttribute("class"), /p[1-4]/);
+  assert.doesNotMatch(await text(note), /Look at its server/);
+});

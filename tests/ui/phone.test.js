@@ -73,7 +73,7 @@ test("acknowledge an alert", TEST, async () => {
 test("change the schedule, and put it in force", TEST, async () => {
   await touch(tab("Schedule"));
   await touch(page.getByRole("button", { name: "Edit a draft" }));
-  const area = page.getByLabel("Schedule, one row a line");
+  const area = page.getByLabel("Schedule, rows of JSON");
   await touch(area);
   const text = await becomes(() => area.inputValue(), (now) => now.includes('"exptime"'), "the schedule in force is read");
   await area.fill(text.replace(/"exptime": ?[\d.]+/, '"exptime": 33'));

@@ -63,8 +63,8 @@ impl std::fmt::Display for Fault {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Timeout => "timeout",
-            Self::Connect => "no connection",
-            Self::Reset => "connection broke",
+            Self::Connect => "nobody listens at its server's address",
+            Self::Reset => "its server closed the connection",
         })
     }
 }
@@ -143,6 +143,8 @@ impl AlpacaError {
     pub fn no_data(&self) -> NoData {
         match self {
             Self::Transport { fault: Fault::Timeout, detail } => NoData::new("timeout", detail),
+            // What the network library says of it is of no more use.
+            Self::Transport { fault: fault @ Fault::Reset, .. } => NoData::new("transport", fault),
             Self::Transport { fault, detail } => NoData::new("transport", format!("{fault}: {detail}")),
             Self::Http { .. } | Self::Ascom { .. } if self.is_not_implemented() => NoData::not_implemented(),
             Self::Ascom { code: Self::NOT_CONNECTED, message } => NoData::new("not connected", message),

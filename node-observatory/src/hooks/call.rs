@@ -22,7 +22,7 @@ pub enum CallError {
     #[error("{0}")]
     Failed(String),
     /// It took too long.
-    #[error("not done within {after_s:.1} s of machine time, and ended")]
+    #[error("not done within {after_s:.1} s, and ended")]
     Late {
         /// How long.
         after_s: f64,
