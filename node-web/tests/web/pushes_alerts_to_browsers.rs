@@ -91,7 +91,8 @@ async fn an_alert_and_a_test_message_reach_browsers_until_their_push_service_say
     assert_eq!((made.status, &made.json()["min_priority"]), (201, &json!("high")), "{}", made.text);
     let alert = |kind: AlertKind, priority_cause: &str| kind.alert("dome_1", stage.bus.clock().utc(), priority_cause);
     let held = alert(AlertKind::DomeHeld, "it is half open");
-    let published = stage.publish(Key::Observatory(address("callisto"), Part::Alerts), list(&[held.clone()])).await;
+    let published =
+        stage.publish(Key::Observatory(address("callisto"), Part::Alerts), list(std::slice::from_ref(&held))).await;
 
     let message = service.first("/phone").await;
     let header = |name: &str| message.headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
