@@ -43,6 +43,8 @@ for (const [what, address, selector] of [["the timeline of the night", "/t/demo/
     await part.scrollIntoViewIfNeeded();
     const look = page.locator(".look", { has: part }).or(part).first();
     const whole = await shown(part);
+    // A chart that is read anew meanwhile is longer or shorter by what its answer took.
+    const isWhole = (now) => length(now) > 0.99 * length(whole);
     const tools = look.locator(".time-tools");
     await look.focus();
     await page.keyboard.press("+");
@@ -52,7 +54,7 @@ for (const [what, address, selector] of [["the timeline of the night", "/t/demo/
     assert.ok(Math.abs(length(earlier) - length(near)) < 5);
     await page.keyboard.press("-");
     await page.keyboard.press("-");
-    await until(part, (now) => length(now) === length(whole), "- shows all again");
+    await until(part, (now) => isWhole(now), "- shows all again");
     await tools.getByRole("button", { name: "Show less time" }).click();
     const zoomed = await until(part, (now) => length(now) < 0.8 * length(whole), "the button shows less");
 
@@ -68,7 +70,7 @@ for (const [what, address, selector] of [["the timeline of the night", "/t/demo/
     await page.mouse.wheel(0, -300);
     await until(part, (now) => length(now) < length(dragged), "the wheel zooms what has the focus");
     await tools.getByRole("button", { name: "All" }).click();
-    await until(part, (now) => length(now) === length(whole), "all again");
+    await until(part, (now) => isWhole(now), "all again");
     assert.deepEqual(problems, []);
   });
 
