@@ -342,6 +342,7 @@ test("a schedule that is put in force meanwhile is told, and is what the draft i
   await area().fill(`${inForce}\n// mine\n`);
   await becomes(() => page.getByTestId("changes").textContent(), "No row differs.");
   const newer = inForce.replace('"filter":"B"', '"filter":"V"');
+  await page.route("**/schedule/revisions?*", (route) => route.fulfill({ json: [2, 1].map((version) => ({ version, at_utc: "2026-11-27T02:01:33Z", author: "ana", rows: 10, bytes: 10, sha256: version === 2 ? "other" : "1" })) }));
   await page.route(`**/api/v1/telescopes/${ID}/schedule`, (route) => route.fulfill({ contentType: "application/jsonl", headers: { etag: '"other"' }, body: newer }));
   const key = `${ID}/observatory/schedule/state`;
   const state = (await bus.states())[key];
@@ -349,6 +350,7 @@ test("a schedule that is put in force meanwhile is told, and is what the draft i
   const told = page.getByTestId("other-in-force");
   await told.waitFor();
   await page.getByTestId("changes").locator(".del", { hasText: 'filter: "V"' }).waitFor();
+  await page.locator('[data-testid="version-row"]', { hasText: "ana" }).filter({ hasText: "in force" }).waitFor();
   assert.equal(await draft(), `${inForce}\n// mine\n`);
   await told.getByRole("button", { name: "I have seen it" }).click();
   await told.waitFor({ state: "detached" });
