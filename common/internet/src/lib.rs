@@ -44,8 +44,13 @@ impl Client {
     /// or of a private network.
     ///
     /// # Errors
-    /// As for [`Client::new`].
+    /// As for [`Client::new`], or the URL has an address in the place of a name.
     pub async fn public(url: &str, ca_file: Option<&Path>) -> anyhow::Result<Self> {
+        let uri = url.parse::<Uri>().ok();
+        let host = uri.as_ref().and_then(Uri::host).unwrap_or_default();
+        // Nothing resolves an address: it would be connected to as it is.
+        let is_address = host.trim_matches(['[', ']']).parse::<std::net::IpAddr>().is_ok();
+        ensure!(!is_address, "it is named by its address: expected a name of the public internet");
         Self::to(url, ca_file, true).await
     }
 

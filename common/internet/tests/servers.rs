@@ -267,6 +267,30 @@ async fn only_a_certificate_of_a_known_authority_that_is_valid_now_is_accepted()
 }
 
 #[tokio::test]
+async fn a_server_that_a_stranger_named_is_asked_on_the_public_internet_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, (pem, tls)) = (folder.path().join("ca.pem"), signed("site", 2020));
+    std::fs::write(&file, pem).unwrap();
+    let server = Server::start(&with_length(0, b""), Then::Closes, Some(tls)).await;
+    let url = format!("https://localhost:{}/s3cret", server.port);
+    let client = Client::public(&url, Some(&file)).await.unwrap();
+    let error = format!("{:#}", soon(client.send(Request::get(&url), "")).await.unwrap_err());
+    assert!(error.contains("no address of the public internet") && !error.contains("s3cret"), "{error}");
+    for address in ["127.0.0.1", "[::1]", "192.168.1.1"] {
+        let url = format!("https://{address}:{}/s3cret", server.port);
+        let error = Client::public(&url, Some(&file)).await.unwrap_err().to_string();
+        assert!(error.contains("expected a name"), "{error}");
+    }
+    let plain = Server::start(&with_length(0, b""), Then::Closes, None).await;
+    let unencrypted = plain.url("").replace("127.0.0.1", "localhost");
+    let client = Client::public(&unencrypted, None).await.unwrap();
+    assert!(soon(client.send(Request::get(&unencrypted), "")).await.is_err());
+    assert!(plain.asked().is_empty() && server.asked().is_empty());
+    let client = Client::new(&url, Some(&file)).await.unwrap();
+    assert_eq!(soon(client.send(Request::get(&url), "")).await.unwrap().status(), StatusCode::OK);
+}
+
+#[tokio::test]
 async fn a_file_of_authorities_that_cannot_be_used_is_an_error_that_gives_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("ca.pem");

@@ -86,6 +86,8 @@ struct Observatories {
     /// They are silent after this; never where nobody stands in.
     timeout: Option<Duration>,
     began: MachineTime,
+    /// When none sent last.
+    last_away: Option<MachineTime>,
     /// Shared devices have none.
     is_shared: bool,
     /// Those that have published their state, and whether it was the last one of an end in good order.
@@ -110,6 +112,15 @@ impl Observatories {
             None => now.since(self.began) >= timeout.max(START),
         };
         if is_silent { Presence::Silent } else { Presence::Sends }
+    }
+
+    /// Has the one that sends received all that other nodes report? One that returns has to receive first what was raised meanwhile: to
+    /// whoever follows at any time it would be over, and raised again.
+    fn knows_all(&mut self, presence: Presence, now: MachineTime) -> bool {
+        if presence != Presence::Sends {
+            self.last_away = Some(now);
+        }
+        self.last_away.is_none_or(|at| now.since(at) >= HOLD)
     }
 }
 
@@ -168,10 +179,10 @@ async fn keep_watching(
     let clock = node.bus.clock().clone();
     let mut last_silent: Option<MachineTime> = None;
     let mut silent_since: Option<MachineTime> = None;
-    let mut last_away: Option<MachineTime> = None;
     let mut observatories = Observatories {
         timeout,
         began: clock.machine(),
+        last_away: None,
         is_shared: address.telescope.as_str() == Address::SHARED,
         stopped: BTreeMap::new(),
     };
@@ -203,12 +214,7 @@ async fn keep_watching(
         let last = merged.get().map(|last| last.sample.body);
         let in_its_place = in_its_place(active, last.clone().unwrap_or_default(), clock.utc());
         let others_send = presence == Presence::Sends || elders.are_there(now);
-        if presence != Presence::Sends {
-            last_away = Some(now);
-        }
-        // An observatory node that returns has to learn first what others raised meanwhile.
-        let knows_all = last_away.is_none_or(|at| now.since(at) >= HOLD);
-        show(followed, if knows_all { last } else { Some(in_its_place.clone()) });
+        show(followed, if observatories.knows_all(presence, now) { last } else { Some(in_its_place.clone()) });
         show(shown, (!others_send).then_some(in_its_place));
         tokio::select! {
             alerts = nodes.recv() => {
@@ -280,7 +286,8 @@ mod tests {
         };
         let of = |is_shared, states: &[(&str, Option<bool>)]| {
             let timeout = Some(Duration::from_secs(20));
-            let mut known = Observatories { timeout, began: at(0), is_shared, stopped: BTreeMap::new() };
+            let mut known =
+                Observatories { timeout, began: at(0), last_away: None, is_shared, stopped: BTreeMap::new() };
             states.iter().for_each(|(id, stopped)| known.take(id.parse().unwrap(), &state(*stopped)));
             known
         };
@@ -313,6 +320,9 @@ mod tests {
             let nobody_stands_in = Observatories { timeout: None, ..known };
             assert_eq!(nobody_stands_in.presence(newest_s.map(at), at(now_s)), Presence::Sends, "{name}");
         }
+        let mut returns = of(false, &main);
+        let seen = [(Presence::Sends, 1), (Presence::Silent, 100), (Presence::Sends, 129), (Presence::Sends, 130)];
+        assert_eq!(seen.map(|(presence, s)| returns.knows_all(presence, at(s))), [true, false, false, true]);
     }
 
     #[test]
