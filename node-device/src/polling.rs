@@ -279,8 +279,3 @@ impl Questions {
         answers
     }
 }
-
-/// The reason that stands for every property of a lost device.
-pub fn lost_reason(error: &AlpacaError) -> NoData {
-    error.no_data()
-}

@@ -22,7 +22,7 @@ use config::Common;
 use contract::audit::AuditOutcome as Ended;
 use contract::device::DeviceDescription;
 use contract::observatory::AlertKind;
-use contract::{Device, DeviceKind as _, DeviceState, Key, LastCommand, Link, NoData};
+use contract::{Device, DeviceKind as _, DeviceState, Key, LastCommand, Link};
 use node::Node;
 use tokio::sync::mpsc;
 use tokio::task::{JoinError, JoinSet};
@@ -35,7 +35,7 @@ use crate::command_server::{CommandServer, Order};
 use crate::driver::{Capabilities, Command, Driver, Executed, Fields};
 use crate::has::Has;
 use crate::now::Now;
-use crate::polling::{Greeting, LOST_AFTER, Poll, PropertyAnswer, Questions, lost_reason};
+use crate::polling::{Greeting, LOST_AFTER, Poll, PropertyAnswer, Questions};
 use crate::readings::Readings;
 use crate::record::StatePublisher;
 
@@ -401,14 +401,13 @@ impl<D: Driver> Loop<D> {
 
     /// The device is gone: everything is missing, for this reason, until it is back.
     fn lose(&mut self, error: &AlpacaError) {
-        let reason: NoData = lost_reason(error);
+        let reason = error.no_data();
         if self.link == Link::Connected || self.failures == 0 {
             tracing::warn!(device = %self.serve.device, %error, "device lost; trying again");
         }
         self.link = Link::Lost { reason: reason.clone() };
         let instance = self.instance();
-        let why = reason.0.strip_prefix("transport: ").unwrap_or(&reason.0);
-        let cause = format!("{instance} at {} does not answer: {why}", self.serve.common.server);
+        let cause = format!("{instance} at {} does not answer: {}", self.serve.common.server, error.words());
         self.serve.node.alerts.raise(AlertKind::DeviceLost, &instance, &cause);
         // Also what was never read is missing for this reason.
         let clock = self.serve.node.bus.clock().clone();

@@ -1,20 +1,11 @@
 // What the page does when a part of it, a message, or the whole cannot be drawn: it says so in red, and shows nothing old as live.
 // The page comes from a real web node; what the server says over the socket is written here.
-import { test, before, after, beforeEach } from "node:test";
+import { test, after, beforeEach } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, becomes, launch, newPage, startAlone } from "./browser.js";
+import { TEST, becomes, newPage, startAlone, withBrowser } from "./browser.js";
 
-let alone, browser, page;
-
-before(async () => {
-  alone = await startAlone();
-  browser = await launch();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await alone?.end();
-}, TEST);
+const [alone, browser] = await withBrowser(startAlone());
+let page;
 
 const summary = (telescope, change = {}) => ({
   id: `paranal/${telescope}`, site_id: "paranal", telescope_id: telescope, shared: false, quality: "fresh",

@@ -7,6 +7,7 @@ import net from "node:net";
 import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
+import { after } from "node:test";
 import { isDeepStrictEqual, inspect } from "node:util";
 import { chromium } from "playwright-core";
 
@@ -18,6 +19,15 @@ const python = process.env.STARMESH_PYTHON ?? join(root, "target/venv/bin/python
 export const LIMIT = 120_000;
 /** For a test, which waits several times. */
 export const TEST = { timeout: 10 * LIMIT };
+
+// What a file of tests started ends with it, also where the file fails before its first test.
+const children = [];
+process.once("exit", () => children.forEach((child) => child.kill()));
+function start(program, args, options) {
+  const child = spawn(program, args, options);
+  children.push(child);
+  return child;
+}
 
 export const launch = (more = []) =>
   chromium.launch({
@@ -113,7 +123,7 @@ export function configure(folder, { telescope = "paranal/io", connect = [], cloc
 
 /** Starts the web node; gives its process, and the address that it prints for its page once that answers. */
 export async function startWebNode(file, at = 0) {
-  const node = spawn(binary, ["node", "web", "--config", file], { stdio: ["ignore", "ignore", "pipe"] });
+  const node = start(binary, ["node", "web", "--config", file], { stdio: ["ignore", "ignore", "pipe"] });
   let printed = "";
   node.stderr.on("data", (data) => (printed += data));
   const url = () => /page: (http:\/\/[\d.:]+)\//.exec(printed)?.[1];
@@ -139,6 +149,17 @@ export async function startAlone(prepare = (_) => {}) {
 export const startWithUser = (right) => startAlone((file) =>
   execFileSync(binary, ["user", "add", "ana", "--right", right, "--password-file", "-", "--config", file], { input: `${PASSWORD}\n` }));
 
+/** A site that `starting` gives, and a browser, for all tests of a file: `[site, browser]`; both are ended when the tests are over. */
+export async function withBrowser(starting, more = []) {
+  const site = await starting;
+  const browser = await launch(more);
+  after(async () => {
+    await browser.close();
+    await site.end();
+  }, TEST);
+  return [site, browser];
+}
+
 /**
  * A web node on a recorded bus: `{ url, put, now, events, raw, orders, reset, end }`. The night of the telescope `demo/alpha` is played again
  * and again, so that everything stays fresh, and the archive's answers are recorded too. `web` is more of `[web]` in its configuration.
@@ -146,7 +167,7 @@ export const startWithUser = (right) => startAlone((file) =>
 export async function startRecorded({ web = "" } = {}) {
   const folder = mkdtempSync(join(tmpdir(), "starmesh-recorded-"));
   const recorded = join(import.meta.dirname, "recorded");
-  const player = spawn(python, ["-B", join(recorded, "player.py"), join(recorded, "bus.jsonl")], { stdio: ["pipe", "pipe", process.env.KEEP_UI ? "inherit" : "ignore"] });
+  const player = start(python, ["-B", join(recorded, "player.py"), join(recorded, "bus.jsonl")], { stdio: ["pipe", "pipe", process.env.KEEP_UI ? "inherit" : "ignore"] });
   const line = await new Promise((resolve, reject) => {
     let text = "";
     player.stdout.on("data", (data) => { text += data; if (text.includes("\n")) resolve(text); });

@@ -1,36 +1,27 @@
 // Charts on a recorded bus: what they draw beside their lines; and the table that each has, by keyboard, with the chart's own points, which gives CSV.
-import { test, before, after } from "node:test";
+import { test } from "node:test";
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
-import { TEST, becomes, drawnBy, launch, least, looks, newPage, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, drawnBy, least, looks, newPage, settled, startRecorded, withBrowser } from "./browser.js";
 
 const TIME = /^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d$/;
 const id = "demo/alpha";
-let bus, browser, page;
 
 const minute = (n) => new Date(Date.parse("2026-11-27T01:55:00Z") + n * 60e3).toISOString();
 const CURVE = { object: "WASP-18", filter: "R", camera: "camera", comparison_stars: 4, points: Array.from({ length: 30 }, (_, n) => ({ mid_utc: minute(n), flux: n === 7 ? null : 1 + n / 1000, flux_error: 0.001, fwhm_arcsec: 2 + n / 100, sky_adu: 700 + n, dx_px: n / 50, dy_px: -n / 50, airmass: 1.1 })) };
 const { run: RUN } = JSON.parse(readFileSync(join(import.meta.dirname, "../../common/contract/golden/v1/observatory.focus.json"), "utf8"));
 
-before(async () => {
-  bus = await startRecorded();
-  const states = await bus.states();
-  await bus.put({ [`${id}/observatory/focus/state`]: { ...states[`${id}/observatory/focus/state`], run: RUN } });
-  browser = await launch();
-  page = await newPage(browser, { reducedMotion: "reduce" });
-  await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
-  // The recorded night is too short for a light curve.
-  await page.route(/\/nights\/\d+\/report$/, async (route) => {
-    const response = await route.fetch();
-    await route.fulfill({ response, json: { ...(await response.json()), curves: [CURVE] } });
-  });
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-}, TEST);
+const [bus, browser] = await withBrowser(startRecorded());
+const states = await bus.states();
+await bus.put({ [`${id}/observatory/focus/state`]: { ...states[`${id}/observatory/focus/state`], run: RUN } });
+const page = await newPage(browser, { reducedMotion: "reduce" });
+await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
+// The recorded night is too short for a light curve.
+await page.route(/\/nights\/\d+\/report$/, async (route) => {
+  const response = await route.fetch();
+  await route.fulfill({ response, json: { ...(await response.json()), curves: [CURVE] } });
+});
 
 /** Opens a page once its charts are there. */
 async function open(address) {

@@ -1,22 +1,12 @@
 // Closing is two touches away on every page of a telescope, and sends one order; a hold that is let go sends none.
-import { test, before, after, beforeEach } from "node:test";
+import { test, beforeEach } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, becomes, launch, namesOf, newPage, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, namesOf, newPage, settled, startRecorded, withBrowser } from "./browser.js";
 
-let bus, browser, page;
-
-before(async () => {
-  bus = await startRecorded();
-  browser = await launch();
-  page = await newPage(browser);
-  await page.goto(bus.url);
-  await page.locator('[data-telescope="demo/alpha"][data-quality="fresh"]').waitFor();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-}, TEST);
+const [bus, browser] = await withBrowser(startRecorded());
+const page = await newPage(browser);
+await page.goto(bus.url);
+await page.locator('[data-telescope="demo/alpha"][data-quality="fresh"]').waitFor();
 
 beforeEach(() => bus.reset());
 

@@ -1,9 +1,9 @@
 // The editor of a schedule: rows by forms and templates, rows dragged over the night, versions of before, and drafts that nobody loses. Whatever is done to a row,
 // the rest of the text stays as it was written.
-import { test, before, after } from "node:test";
+import { test } from "node:test";
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { TEST, becomes, launch, looks, newPage, problemsOf, settled, startRecorded, tooWide } from "./browser.js";
+import { TEST, becomes, looks, newPage, problemsOf, settled, startRecorded, tooWide, withBrowser } from "./browser.js";
 
 const ID = "demo/alpha";
 const WIDE = { viewport: { width: 1280, height: 1000 } };
@@ -20,17 +20,8 @@ const WRITTEN = `// Tonight, for the supernova.
  "start_time": "2026-11-27T03:00:00.500Z",   "end_time": "2026-11-27T05:00:00Z"}
 // the end`;
 
-let bus, browser, page, problems;
-
-before(async () => {
-  bus = await startRecorded();
-  browser = await launch();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-}, TEST);
+const [bus, browser] = await withBrowser(startRecorded());
+let page, problems;
 
 const draftPath = () => `${bus.url}/api/v1/telescopes/${ID}/schedule/drafts/page`;
 const area = (on = page) => on.getByLabel("Schedule, rows of JSON");

@@ -1,21 +1,12 @@
 // The network page with fifty telescopes, in cards, in lines and as a table: worst first, nothing covers anything else, and a second that
 // passes draws ages and nothing else.
-import { test, before, after, beforeEach, afterEach } from "node:test";
+import { test, beforeEach, afterEach } from "node:test";
 import assert from "node:assert/strict";
 import { serveFifty } from "./fifty.js";
-import { TEST, becomes, drawnBy, launch, least, looks, newPage, problemsOf, startAlone, tooWide } from "./browser.js";
+import { TEST, becomes, drawnBy, least, looks, newPage, problemsOf, startAlone, tooWide, withBrowser } from "./browser.js";
 
-let alone, browser, page, server, problems;
-
-before(async () => {
-  alone = await startAlone();
-  browser = await launch();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await alone?.end();
-}, TEST);
+const [alone, browser] = await withBrowser(startAlone());
+let page, server, problems;
 
 beforeEach(async () => {
   page = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 900 } });

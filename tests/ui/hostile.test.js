@@ -1,8 +1,8 @@
 // What anybody can put on the bus: markup, very long texts, wrong types, null and numbers that are none, in every field of every payload.
 // Nothing of it becomes markup or an address, nothing leads away from the page, and a part that cannot be drawn leaves the others alone.
-import { test, before, after } from "node:test";
+import { test } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, becomes, everyAddress, launch, newPage, problemsOf, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, everyAddress, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
 
 const MARKUP = '"><img src=x onerror="document.title=\'taken\';window.taken=1"><script>window.taken=1</script><a href="javascript:window.taken=1">{{7*7}}</a>';
 const LONG = `${"W".repeat(3000)} ${"long words ".repeat(100)}`;
@@ -26,18 +26,9 @@ function* mistyped(body) {
   }
 }
 
-let bus, browser, page, problems, recorded;
-
-before(async () => {
-  bus = await startRecorded();
-  recorded = await bus.states();
-  browser = await launch();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-}, TEST);
+const [bus, browser] = await withBrowser(startRecorded());
+const recorded = await bus.states();
+let page, problems;
 
 async function openPage() {
   await page?.close();

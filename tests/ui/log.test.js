@@ -1,20 +1,10 @@
 // The log: live, searched by text, level and node, and the lines around a moment; what is looked for stands in the address.
-import { test, before, after } from "node:test";
+import { test } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, addressOf, becomes, launch, newPage, settled, startRecorded } from "./browser.js";
+import { TEST, addressOf, becomes, newPage, settled, startRecorded, withBrowser } from "./browser.js";
 
-let bus, browser, page;
-
-before(async () => {
-  bus = await startRecorded();
-  browser = await launch();
-  page = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 900 } });
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-}, TEST);
+const [bus, browser] = await withBrowser(startRecorded());
+const page = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 900 } });
 
 const lines = () => page.locator('[data-testid="lines"] li').evaluateAll((all) => all.map((one) => ({ level: one.dataset.l, text: one.textContent })));
 

@@ -1,21 +1,11 @@
 // The login page: shown instead of the page where there are users, and left by logging in.
-import { test, before, after } from "node:test";
+import { test } from "node:test";
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
-import { PASSWORD, TEST, becomes, binary, launch, newPage, problemsOf, startWithUser } from "./browser.js";
+import { PASSWORD, TEST, becomes, binary, newPage, problemsOf, startWithUser, withBrowser } from "./browser.js";
 
-let site, url, browser;
-
-before(async () => {
-  site = await startWithUser("viewer");
-  ({ url } = site);
-  browser = await launch();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await site?.end();
-}, TEST);
+const [site, browser] = await withBrowser(startWithUser("viewer"));
+const { url } = site;
 
 test("a person logs in, sees the page, and logs out", TEST, async () => {
   const page = await newPage(browser);

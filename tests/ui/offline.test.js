@@ -1,20 +1,10 @@
 // The page without its server: it opens, shows the last picture with everything marked as old, and goes on by itself when the server is back.
-import { test, before, after } from "node:test";
+import { test } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, becomes, launch, newPage, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, newPage, settled, startRecorded, withBrowser } from "./browser.js";
 
-let bus, browser, page;
-
-before(async () => {
-  bus = await startRecorded();
-  browser = await launch();
-  page = await newPage(browser, { serviceWorkers: "allow", reducedMotion: "reduce" });
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-}, TEST);
+const [bus, browser] = await withBrowser(startRecorded());
+const page = await newPage(browser, { serviceWorkers: "allow", reducedMotion: "reduce" });
 
 const ALPHA = '[data-telescope="demo/alpha"]';
 

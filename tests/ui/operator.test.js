@@ -1,24 +1,16 @@
 // What somebody with a phone and one minute reads off the first pages: who needs him, what does not answer, what is drawn, and how old it is.
-import { test, before, after, beforeEach } from "node:test";
+import { test, beforeEach } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, becomes, launch, newPage, problemsOf, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
 
 const WIDE = { width: 1280, height: 900 };
 const PHONE = { width: 390, height: 844 };
 const MOUNT = "demo/alpha/device/telescope/mount/state";
-let bus, browser, page, problems, recorded;
 
-before(async () => {
-  bus = await startRecorded();
-  recorded = await bus.states();
-  browser = await launch();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-}, TEST);
+const [bus, browser] = await withBrowser(startRecorded());
+const recorded = await bus.states();
+let page, problems;
 
 beforeEach(async () => {
   await bus.reset();

@@ -1,27 +1,17 @@
 // Every page of the table of pages, on a recorded bus: it opens in three themes and two widths, breaks no rule of the browser, asks nobody
 // else, fits a phone, and can be used by those who do not see well.
-import { test, before, after } from "node:test";
+import { test } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, becomes, chooseTheme, everyAddress, launch, looks, newPage, problemsOf, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, chooseTheme, everyAddress, looks, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
 
-let bus, browser, page, problems;
-
-before(async () => {
-  bus = await startRecorded();
-  await network(bus);
-  browser = await launch();
-  page = await newPage(browser, { reducedMotion: "reduce" });
-  problems = problemsOf(page);
-  await page.goto(bus.url);
-  await page.locator('[data-telescope="demo/alpha"][data-quality="fresh"]').waitFor();
-  await page.locator('[data-telescope="ridge/delta"][data-level="p1"]').waitFor();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-}, TEST);
+const [bus, browser] = await withBrowser(startRecorded());
+await network(bus);
+const page = await newPage(browser, { reducedMotion: "reduce" });
+const problems = problemsOf(page);
+await page.goto(bus.url);
+await page.locator('[data-telescope="demo/alpha"][data-quality="fresh"]').waitFor();
+await page.locator('[data-telescope="ridge/delta"][data-level="p1"]').waitFor();
 
 const choose = (theme) => chooseTheme(page, theme);
 

@@ -1,22 +1,12 @@
 // Settings, users and the audit: who is signed in, sessions, tokens, and who moved what.
-import { test, before, after } from "node:test";
+import { test } from "node:test";
 import assert from "node:assert/strict";
 import { appendFileSync } from "node:fs";
 import http from "node:http";
-import { PASSWORD, TEST, becomes, launch, looks, newPage, problemsOf, settled, startAlone, startRecorded, startWithUser } from "./browser.js";
+import { PASSWORD, TEST, becomes, looks, newPage, problemsOf, settled, startAlone, startRecorded, startWithUser, withBrowser } from "./browser.js";
 
-let site, url, browser;
-
-before(async () => {
-  site = await startWithUser("observer");
-  ({ url } = site);
-  browser = await launch();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await site?.end();
-}, TEST);
+const [site, browser] = await withBrowser(startWithUser("observer"));
+const { url } = site;
 
 const bearer = async (token) => (await fetch(`${url}/api/v1/me`, { headers: { Authorization: `Bearer ${token}` } })).status;
 

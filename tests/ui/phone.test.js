@@ -1,22 +1,13 @@
 // What a person with a phone does at 3 am, beginning at the page that a message leads to: each within five touches.
-import { test, before, after, beforeEach } from "node:test";
+import { test, beforeEach } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, becomes, launch, newPage, settled, startRecorded } from "./browser.js";
+import { TEST, becomes, newPage, settled, startRecorded, withBrowser } from "./browser.js";
 
 const MOST = 5;
 
-let bus, browser, page, touches;
-
-before(async () => {
-  bus = await startRecorded();
-  browser = await launch();
-  page = await newPage(browser, { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true, reducedMotion: "reduce" });
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-}, TEST);
+const [bus, browser] = await withBrowser(startRecorded());
+const page = await newPage(browser, { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true, reducedMotion: "reduce" });
+let touches;
 
 beforeEach(async () => {
   await bus.reset();

@@ -1,22 +1,13 @@
 // Alerts on this device: the switch, what it says where it cannot work, and what the service worker shows. No push service of a browser's
 // maker is asked: the subscription is made by the test, and Chromium itself delivers the message.
-import { test, before, after } from "node:test";
+import { test } from "node:test";
 import assert from "node:assert/strict";
 import { appendFileSync } from "node:fs";
-import { TEST, becomes, launch, newPage, problemsOf, settled, startAlone } from "./browser.js";
+import { TEST, becomes, newPage, problemsOf, settled, startAlone, withBrowser } from "./browser.js";
 
 const NAME = "dome.example.org";
-let site, browser;
 
-before(async () => {
-  site = await startAlone((file) => appendFileSync(file, `names = ["${NAME}"]\n`));
-  browser = await launch([`--host-resolver-rules=MAP ${NAME} 127.0.0.1`]);
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await site?.end();
-}, TEST);
+const [site, browser] = await withBrowser(startAlone((file) => appendFileSync(file, `names = ["${NAME}"]\n`)), [`--host-resolver-rules=MAP ${NAME} 127.0.0.1`]);
 
 async function settings(options, url = site.url, prepare = async (_) => {}) {
   const page = await newPage(browser, { viewport: { width: 390, height: 844 }, ...options });

@@ -1,22 +1,14 @@
 // Looking around in time: the timeline of the night and the charts are dragged and zoomed by mouse, touch and keys, and any moment leads to its log.
-import { test, before, after } from "node:test";
+import { test } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, addressOf, becomes, launch, newPage, problemsOf, settled, startRecorded } from "./browser.js";
+import { TEST, addressOf, becomes, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
 
 const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true };
-let bus, browser, page, problems;
 
-before(async () => {
-  bus = await startRecorded();
-  await network(bus);
-  browser = await launch();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-}, TEST);
+const [bus, browser] = await withBrowser(startRecorded());
+await network(bus);
+let page, problems;
 
 async function open(address, options = {}) {
   await page?.close();

@@ -1,46 +1,38 @@
 // Webcams, on a recorded bus: two cameras that answer, one whose site is another, and one that gives no picture. Their server belongs to this test.
-import { test, before, after } from "node:test";
+import { test, after } from "node:test";
 import assert from "node:assert/strict";
 import http from "node:http";
 import { network } from "./recorded/network.js";
-import { TEST, becomes, launch, looks, newPage, problemsOf, settled, startRecorded, tooWide } from "./browser.js";
+import { TEST, becomes, looks, newPage, problemsOf, settled, startRecorded, tooWide, withBrowser } from "./browser.js";
 
 const PICTURE = '<svg xmlns="http://www.w3.org/2000/svg" width="320" height="200"><rect width="320" height="200" fill="#357"/></svg>';
 /** What was asked, by camera, and whether it gives its picture now. */
 const asked = { sky: [], dome: [], broken: [], ridge: [], slow: [] };
 const gives = { sky: true, dome: true, broken: false, ridge: true, slow: true };
-let cameras, bus, browser, page, problems;
-
-before(async () => {
-  cameras = http.createServer((request, response) => {
-    const [, name] = /^\/(\w+)/.exec(request.url) ?? [];
-    asked[name]?.push(request);
-    if (name === "slow") return;
-    if (!gives[name]) return void response.writeHead(200, { "content-type": "text/html" }).end("<h1>Log in</h1>");
-    response.writeHead(200, { "content-type": "image/svg+xml", "cache-control": "max-age=3600" }).end(PICTURE);
-  });
-  await new Promise((resolve) => { cameras.listen(0, "127.0.0.1", resolve); });
-  const origin = `http://127.0.0.1:${cameras.address().port}`;
-  const webcam = (name, path, more, periodS = 1) => `[[web.webcam]]\nname = ${JSON.stringify(name)}\nurl = "${origin}/${path}"\nperiod_s = ${periodS}\n${more}\n`;
-  bus = await startRecorded({ web: [
-    webcam('<img src=x onerror="window.taken=1"> all-sky', "sky?size=2&name=a%20b+c", ""), webcam("Dome of alpha", "dome", 'telescope = "alpha"'),
-    webcam("Broken", "broken", 'telescope = "beta"'), webcam("Ridge", "ridge", 'site = "ridge"'), webcam("Slow", "slow", 'site = "ridge"\ntelescope = "gamma"', 600),
-  ].join("") });
-  await network(bus);
-  browser = await launch();
-  page = await newPage(browser, { reducedMotion: "reduce" });
-  const all = problemsOf(page);
-  problems = () => all.filter((one) => !one.includes(`asks ${origin}/`));
-  await page.goto(bus.url);
-  await page.locator('[data-telescope="ridge/delta"][data-level="p1"]').waitFor();
-}, TEST);
-
-after(async () => {
-  await browser?.close();
-  await bus?.end();
-  cameras?.closeAllConnections();
-  cameras?.close();
-}, TEST);
+const cameras = http.createServer((request, response) => {
+  const [, name] = /^\/(\w+)/.exec(request.url) ?? [];
+  asked[name]?.push(request);
+  if (name === "slow") return;
+  if (!gives[name]) return void response.writeHead(200, { "content-type": "text/html" }).end("<h1>Log in</h1>");
+  response.writeHead(200, { "content-type": "image/svg+xml", "cache-control": "max-age=3600" }).end(PICTURE);
+});
+await new Promise((resolve) => { cameras.listen(0, "127.0.0.1", resolve); });
+const origin = `http://127.0.0.1:${cameras.address().port}`;
+const webcam = (name, path, more, periodS = 1) => `[[web.webcam]]\nname = ${JSON.stringify(name)}\nurl = "${origin}/${path}"\nperiod_s = ${periodS}\n${more}\n`;
+const [bus, browser] = await withBrowser(startRecorded({ web: [
+  webcam('<img src=x onerror="window.taken=1"> all-sky', "sky?size=2&name=a%20b+c", ""), webcam("Dome of alpha", "dome", 'telescope = "alpha"'),
+  webcam("Broken", "broken", 'telescope = "beta"'), webcam("Ridge", "ridge", 'site = "ridge"'), webcam("Slow", "slow", 'site = "ridge"\ntelescope = "gamma"', 600),
+].join("") }));
+await network(bus);
+const page = await newPage(browser, { reducedMotion: "reduce" });
+const all = problemsOf(page);
+const problems = () => all.filter((one) => !one.includes(`asks ${origin}/`));
+await page.goto(bus.url);
+await page.locator('[data-telescope="ridge/delta"][data-level="p1"]').waitFor();
+after(() => {
+  cameras.closeAllConnections();
+  cameras.close();
+});
 
 const cam = (name) => page.locator(`[data-webcam*="${name}"]`);
 const names = async () => (await page.locator("[data-webcam]").evaluateAll((all) => all.map((one) => one.dataset.webcam.split(" ").pop()))).sort();

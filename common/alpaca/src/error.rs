@@ -139,13 +139,21 @@ impl AlpacaError {
         }
     }
 
+    /// What a person is told of it, in whom its class wakes nothing.
+    pub fn words(&self) -> String {
+        match self {
+            // What the network library says of it is of no more use.
+            Self::Transport { fault: fault @ Fault::Reset, .. } => fault.to_string(),
+            Self::Transport { .. } => self.to_string(),
+            _ => self.no_data().0,
+        }
+    }
+
     /// The reason that stands in place of the value.
     pub fn no_data(&self) -> NoData {
         match self {
             Self::Transport { fault: Fault::Timeout, detail } => NoData::new("timeout", detail),
-            // What the network library says of it is of no more use.
-            Self::Transport { fault: fault @ Fault::Reset, .. } => NoData::new("transport", fault),
-            Self::Transport { fault, detail } => NoData::new("transport", format!("{fault}: {detail}")),
+            Self::Transport { .. } => NoData::new("transport", self.words()),
             Self::Http { .. } | Self::Ascom { .. } if self.is_not_implemented() => NoData::not_implemented(),
             Self::Ascom { code: Self::NOT_CONNECTED, message } => NoData::new("not connected", message),
             Self::Http { status, body } => NoData::new(&format!("http {status}"), body),

@@ -168,30 +168,26 @@ fn names(observatory: &Observatory, findings: &mut Findings<'_>) {
 
 /// What stands at a shared device and is decided by each telescope: who writes it here would believe that it protects.
 fn decided_elsewhere(observatory: &Observatory, findings: &mut Findings<'_>) {
-    let mut ignored = |path: &str, shown: &str, key: &str| {
-        let instead = match key {
-            "disabled" => {
-                "each telescope goes on to use it, until it is taken out of [shared] of its own file".to_owned()
-            }
-            _ => format!("each telescope decides by {key} in [shared] of its own file; write it there"),
-        };
+    let in_its_own = |key| format!("each telescope decides by {key} in [shared] of its own file; write it there");
+    let mut ignored = |path: &str, shown: &str, key: &str, instead: &str| {
         let what = format!("{shown}{key} has no effect in the file of the shared devices: {instead}");
         findings.warning(&format!("{path}.{key}"), what);
     };
     for (path, shown, station) in blocks(&observatory.observingconditions) {
         if !station.limit.is_empty() {
-            ignored(&path, &shown, "limit");
+            ignored(&path, &shown, "limit", &in_its_own("limit"));
         }
     }
     for (path, shown, monitor) in blocks(&observatory.safetymonitor) {
         if monitor.dwell_min.to_bits() != crate::device::default_dwell_min().to_bits() {
-            ignored(&path, &shown, "dwell_min");
+            ignored(&path, &shown, "dwell_min", &in_its_own("dwell_min"));
         }
         if monitor.max_age_s.is_some() {
-            ignored(&path, &shown, "max_age_s");
+            ignored(&path, &shown, "max_age_s", &in_its_own("max_age_s"));
         }
         if monitor.disabled.is_some() {
-            ignored(&path, &shown, "disabled");
+            let instead = "each telescope goes on to use it, until it is taken out of [shared] of its own file";
+            ignored(&path, &shown, "disabled", instead);
         }
     }
 }

@@ -293,13 +293,8 @@ impl Driver for Dome {
 fn turned(azimuth_deg: f64, asked_deg: f64, tolerance_deg: f64, still: bool) -> Progress {
     let off_deg = apart_deg(azimuth_deg, asked_deg);
     match off_deg {
-        off if !still => {
-            if off <= tolerance_deg {
-                Progress::SaysItMoves
-            } else {
-                Progress::Running
-            }
-        }
+        off if !still && off > tolerance_deg => Progress::Running,
+        _ if !still => Progress::SaysItMoves,
         off if off < THERE_DEG.min(tolerance_deg) => Progress::Done,
         off if off <= tolerance_deg => Progress::Settling(RESTS_S),
         off => Progress::Stranded {

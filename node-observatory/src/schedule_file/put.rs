@@ -40,22 +40,26 @@ pub async fn put(
 /// Blocks.
 fn replace(file: &ScheduleFile, text: &str, instead_of: Option<&str>, author: &Author) -> Result<(), Unchanged> {
     let mut active = file.active.lock().unwrap_or_else(PoisonError::into_inner);
+    // A person may have written what stands there a moment ago. A file that would be refused does not count.
+    let on_disk = read_text(&file.authority.node.config.schedule.file).ok();
+    let on_disk = on_disk.and_then(|text| rows_of(&text, file).ok().map(|rows| (text, rows.len())));
+    let newest = match &on_disk {
+        Some((text, _)) => Some(sha256(text)),
+        None => active.as_ref().map(|active| active.sha256.clone()),
+    };
     if let Some(wanted) = instead_of
-        && let now = newest(file, active.as_ref())
-        && now.as_deref() != Some(wanted)
+        && newest.as_deref() != Some(wanted)
     {
-        let now = now.unwrap_or_else(|| "none".to_owned());
+        let now = newest.as_deref().unwrap_or("none");
         return Err(Unchanged::Overtaken(format!(
             "another schedule is in force than the one that it was made for: {now} and not {wanted} (SHA-256); compare it with \
              yours, and order again"
         )));
     }
     let rows = rows_of(text, file).map_err(Unchanged::Refused)?;
-    // A person may have written what stands there a moment ago: nothing is replaced that is no version.
-    if let Ok(on_disk) = read_text(&file.authority.node.config.schedule.file)
-        && let Ok(rows) = rows_of(&on_disk, file)
-    {
-        keep_as_written(file, &on_disk, rows.len()).map_err(|error| failed(file, error))?;
+    // Nothing is replaced that is no version.
+    if let Some((written, count)) = on_disk {
+        keep_as_written(file, &written, count).map_err(|error| failed(file, error))?;
     }
     let stored = file.versions.keep(text, rows.len(), author, file.authority.node.bus.clock().utc());
     let (version, is_new) = stored.map_err(|error| failed(file, error))?;
@@ -70,15 +74,6 @@ fn replace(file: &ScheduleFile, text: &str, instead_of: Option<&str>, author: &A
     *active = Some(ActiveText { sha256: sha256(text), text: text.into() });
     tracing::info!(version, rows = rows.len(), author = author.name, reason = author.reason, "schedule put");
     Ok(())
-}
-
-/// Of the text that is active, or is about to be: a person may have written the file a moment ago. A file that would be
-/// refused does not count.
-fn newest(file: &ScheduleFile, active: Option<&ActiveText>) -> Option<String> {
-    let known = active.map(|active| active.sha256.clone());
-    let Ok(on_disk) = read_text(&file.authority.node.config.schedule.file) else { return known };
-    let found = sha256(&on_disk);
-    if Some(&found) == known.as_ref() || rows_of(&on_disk, file).is_err() { known } else { Some(found) }
 }
 
 fn failed(file: &ScheduleFile, source: io::Error) -> Unchanged {
