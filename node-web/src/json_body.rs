@@ -4,7 +4,9 @@ use axum::body::{Bytes, to_bytes};
 use axum::extract::{FromRequest, FromRequestParts, Query, Request};
 use axum::http::{HeaderMap, header, request::Parts};
 use serde::de::DeserializeOwned;
+use users::Principal;
 
+use crate::authentication::{Authentication, Credential};
 use crate::in_words::in_words;
 use crate::problem::{Code, Problem};
 
@@ -62,15 +64,26 @@ pub fn read<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     })
 }
 
-/// The whole body.
+/// The whole body. It may be minutes on its way, so the caller's rights are looked at once more when it is there.
 ///
 /// # Errors
-/// It is larger.
+/// It is larger, or the caller may do something else now than when the request began.
 pub async fn bytes(request: Request, most: usize) -> Result<Bytes, Problem> {
+    let extensions = request.extensions();
+    let caller = extensions.get::<Authentication>().cloned().zip(extensions.get::<Credential>().cloned());
+    let before = extensions.get::<Principal>().cloned();
     let too_large = |_| {
         Problem::new(Code::TooLarge, "The request is too large", format!("Expected a body of at most {most} bytes."))
     };
-    to_bytes(request.into_body(), most).await.map_err(too_large)
+    let bytes = to_bytes(request.into_body(), most).await.map_err(too_large)?;
+    match (caller, before) {
+        (Some((authentication, credential)), Some(before))
+            if authentication.principal(&credential).ok().as_ref() != Some(&before) =>
+        {
+            Err(Problem::unauthenticated("What you may do was changed while this request was on its way: ask again."))
+        }
+        _ => Ok(bytes),
+    }
 }
 
 /// The media type of a body, without its parameters.

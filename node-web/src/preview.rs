@@ -122,8 +122,9 @@ impl Previews {
 
     /// The newest image of a telescope, or of one of its cameras.
     pub fn newest(&self, address: &Address, camera: Option<&str>) -> Option<Jpeg> {
-        let displayed = self.network.read().telescopes.get(address)?.image.as_ref().map(|image| image.id.clone());
+        // Held for both looks, as by `show`: the image that is displayed is among those that are made.
         let made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        let displayed = self.network.read().telescopes.get(address)?.image.as_ref().map(|image| image.id.clone());
         let cameras = made.get(address)?;
         match camera {
             Some(camera) => cameras.iter().find(|(name, _)| name.as_str() == camera).map(|(_, jpeg)| jpeg.clone()),
@@ -156,28 +157,29 @@ impl Previews {
         }
     }
 
-    async fn make_one(&self, camera: Device, mut frame: Frame, arrived: MachineTime) {
-        let made = self.fetch(&frame).await;
-        match made {
-            Ok(bytes) => {
-                let id = frame.id.clone();
-                frame.url.clear();
-                let jpeg = Jpeg { frame: id.clone(), bytes: bytes.into() };
-                let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
-                let is_known = made.get(&camera.address).is_some_and(|cameras| cameras.contains_key(&camera.name));
-                if !is_known && made.values().map(BTreeMap::len).sum::<usize>() >= MOST_CAMERAS {
-                    return;
-                }
-                made.entry(camera.address.clone()).or_default().insert(camera.name.clone(), jpeg);
-                drop(made);
-                let body = serde_json::to_value(&frame).unwrap_or_default();
-                self.network.show_image(&camera.address, Image { frame: Arc::new(body), id, arrived, problem: None });
-            }
+    async fn make_one(&self, camera: Device, frame: Frame, arrived: MachineTime) {
+        match self.fetch(&frame).await {
+            Ok(bytes) => self.show(camera, frame, bytes, arrived),
             Err(error) => {
                 tracing::warn!(frame = %frame.id, camera = %camera.name, "no image of a frame: {error}");
                 self.network.miss_image(&camera.address, format!("frame {} is not shown: {error}", frame.id));
             }
         }
+    }
+
+    /// Displays an image that was made.
+    fn show(&self, camera: Device, mut frame: Frame, bytes: Vec<u8>, arrived: MachineTime) {
+        let id = frame.id.clone();
+        frame.url.clear();
+        let jpeg = Jpeg { frame: id.clone(), bytes: bytes.into() };
+        let body = serde_json::to_value(&frame).unwrap_or_default();
+        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_known = made.get(&camera.address).is_some_and(|cameras| cameras.contains_key(&camera.name));
+        if !is_known && made.values().map(BTreeMap::len).sum::<usize>() >= MOST_CAMERAS {
+            return;
+        }
+        made.entry(camera.address.clone()).or_default().insert(camera.name, jpeg);
+        self.network.show_image(&camera.address, Image { frame: Arc::new(body), id, arrived, problem: None });
     }
 
     /// Fetches, shrinks on the way and encodes; all arithmetic on a thread of its own.
@@ -216,9 +218,38 @@ impl Previews {
 
 #[cfg(test)]
 mod tests {
+    use contract::Kind;
     use contract::device::camera::Pixel;
+    use serde_json::json;
 
     use super::*;
+    use crate::model::tests::received;
+
+    #[test]
+    fn an_image_that_is_displayed_can_always_be_had_also_while_the_next_one_takes_its_place() {
+        let address = Address::new("paranal", "callisto").unwrap();
+        let network = Arc::new(Network::new(bus::Clock::machine_clock(), address.clone()));
+        assert!(network.accept(received("paranal/callisto/observatory/night/state", "b", 0, 0, json!({}))));
+        let previews = Previews::new(network.clone()).unwrap();
+        let announced: Frame =
+            serde_json::from_str(include_str!("../../common/contract/golden/v1/camera.frame.json")).unwrap();
+        let camera = Device { address: address.clone(), kind: Kind::Camera, name: "main".parse().unwrap() };
+        let show = || {
+            let frame = Frame { id: CommandId::fresh(), ..announced.clone() };
+            previews.show(camera.clone(), frame, vec![0], network.clock().machine());
+        };
+        show();
+        let is_over = std::sync::atomic::AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                (0..5000).for_each(|_| show());
+                is_over.store(true, Ordering::Relaxed);
+            });
+            while !is_over.load(Ordering::Relaxed) {
+                assert!(previews.newest(&address, None).is_some());
+            }
+        });
+    }
 
     #[test]
     fn a_wide_frame_becomes_a_jpeg_within_the_longest_side() {

@@ -53,6 +53,26 @@ test("the dialog has its focus on Close, Enter closes, and Escape sends nothing 
   assert.deepEqual((await orders()).map((order) => order.do), ["close"], "one order, of the second time");
 });
 
+test("a row of tonight is done without, and a finished one runs again, by orders that name the row and its schedule", TEST, async () => {
+  const { sha256 } = (await bus.states())["demo/alpha/observatory/schedule/state"];
+  for (const [name, about, wanted] of [["Skip row 5", "Skip row 5, object WASP-79?", { skip: { row: 4, of: sha256 } }], ["Repeat row 2", "Repeat row 2, open?", { repeat: { row: 1, of: sha256 } }]]) {
+    await bus.reset();
+    await page.goto(`${bus.url}/t/demo/alpha/schedule`);
+    await settled(page);
+    await page.getByRole("button", { name, exact: true }).click();
+    await page.locator("dialog h2", { hasText: about }).waitFor();
+    assert.equal(await page.locator("dialog").getByLabel(/number|SHA/i).count(), 0, "what is known is not asked");
+    await page.locator("dialog input[name=reason]").fill("clouds in the south");
+    await page.locator("dialog .hold").dispatchEvent("pointerdown");
+    await page.locator("dialog").waitFor({ state: "detached" });
+    const [order] = await orders();
+    assert.deepEqual([order.do, order.reason], [wanted, "clouds in the south"]);
+  }
+  // What has not begun and what is over are not offered the other.
+  assert.equal(await page.getByRole("button", { name: "Repeat row 5", exact: true }).count(), 0);
+  assert.equal(await page.getByRole("button", { name: "Skip row 2", exact: true }).count(), 0);
+});
+
 test("an order towards the sky is held to its end; let go before, it sends nothing", TEST, async () => {
   await page.clock.install();
   await page.goto(`${bus.url}/t/demo/alpha/controls`);

@@ -454,3 +454,47 @@ test("the dry run shows what the draft would do, and says when it is of an older
   await run.locator(".end", { hasText: "before the last change" }).waitFor();
   assert.deepEqual(unexpected(), []);
 });
+
+test("a draft that somebody else has stored stays when another text is activated, and that replaces what was shown, whatever is in force meanwhile", TEST, async () => {
+  await open();
+  const inForce = await draft();
+  const theirs = `${inForce}\n// of Bob, for tomorrow\n`;
+  await button("Close the draft").click();
+  await fetch(draftPath(), { method: "PUT", headers: { "Content-Type": "application/jsonl", "If-None-Match": "*" }, body: theirs });
+  await button("Edit a draft").click();
+  await becomes(draft, theirs, "what nobody has changed here is read again");
+  await area().fill(`${inForce}\n// mine\n`);
+  await bus.reset();
+  await button("Activate …").click();
+  const dialog = page.getByRole("dialog");
+  await dialog.getByLabel("Why").fill("a clear night");
+  const key = `${ID}/observatory/schedule/state`;
+  const state = (await bus.states())[key];
+  await page.route(`**/api/v1/telescopes/${ID}/schedule`, (route) => route.fulfill({ contentType: "application/jsonl", headers: { etag: '"other"' }, body: inForce }));
+  await bus.put({ [key]: { ...state, revision: 2, sha256: "other" } });
+  await page.getByTestId("other-in-force").waitFor({ state: "attached" });
+  await dialog.getByRole("button", { name: "Activate", exact: true }).click();
+  const [order] = await becomes(bus.orders, (all) => all.length > 0, "it is ordered");
+  assert.equal(order.do.put_schedule.instead_of, state.sha256);
+  await button("Edit a draft").waitFor();
+  assert.equal(await (await fetch(draftPath(), { headers: { Accept: "application/jsonl" } })).text(), theirs);
+  await bus.put({ [key]: state });
+});
+
+test("a file that is no UTF-8 is refused, and a dialog stays open when a text is marked beyond its edge", TEST, async () => {
+  await open();
+  const before = await draft();
+  await page.getByLabel("A file with a schedule").setInputFiles({ name: "night.jsonl", mimeType: "text/plain", buffer: Buffer.from("// caf\u00e9\n", "latin1") });
+  await page.getByText("night.jsonl is no text in UTF-8; save it as UTF-8, and upload it again.").waitFor();
+  assert.equal(await draft(), before);
+  await page.getByTestId("add-row").click();
+  const box = await page.locator("dialog h2").first().boundingBox();
+  await page.mouse.move(box.x + 5, box.y + box.height / 2);
+  await page.mouse.down();
+  await page.mouse.move(3, 3);
+  await page.mouse.up();
+  assert.equal(await page.locator("dialog").count(), 1);
+  await page.mouse.click(3, 3);
+  await page.locator("dialog").waitFor({ state: "detached" });
+  assert.deepEqual(unexpected(), []);
+});

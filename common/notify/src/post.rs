@@ -64,6 +64,16 @@ enum Way {
 }
 
 impl Way {
+    /// The alert that nothing arrives there.
+    fn not_sent(&self) -> AlertKind {
+        match self {
+            Self::Webhook(_) | Self::Email { .. } => AlertKind::AlertNotSent,
+            Self::Push { .. } => AlertKind::PushNotSent,
+        }
+    }
+}
+
+impl Way {
     fn word(&self) -> &'static str {
         match self {
             Self::Webhook(hook) if hook.format == Format::Ntfy => "ntfy",
@@ -124,7 +134,7 @@ fn receiver(alerting: &Alerting, name: String, min_priority: Priority, after_min
         after: Duration::from_secs_f64(after_min * 60.0),
         most: alerting.flood_messages as usize,
         window: Duration::from_secs_f64(alerting.flood_minutes * 60.0),
-        own_alert: AlertKind::AlertNotSent.id(&name),
+        own_alert: way.not_sent().id(&name),
     };
     Receiver { name, settings, way }
 }
@@ -136,6 +146,7 @@ pub async fn keep_delivering(
     mut alerts: watch::Receiver<Option<Alerts>>,
 ) -> anyhow::Result<()> {
     let Receiver { name, settings, way } = receiver;
+    let not_sent = way.not_sent();
     let (clock, mut http) = (node.bus.clock().clone(), Http::default());
     let fresh = || Mailbox::new(settings.clone()).begins(clock.machine(), clock.utc());
     let mut mailbox = fresh();
@@ -151,7 +162,7 @@ pub async fn keep_delivering(
             }
             None => {
                 mailbox = fresh();
-                last_word(&node, &name, *silent_since.get_or_insert(now), now);
+                last_word(&node, not_sent, &name, *silent_since.get_or_insert(now), now);
             }
         }
         if let Some(letter) = mailbox.due(now) {
@@ -159,9 +170,9 @@ pub async fn keep_delivering(
                 Ok(()) => {
                     mailbox.sent(&letter, clock.machine(), clock.utc());
                     node.alerts.set_notifications(&name, mailbox.notifications());
-                    node.alerts.clear(AlertKind::AlertNotSent, &name);
+                    node.alerts.clear(not_sent, &name);
                 }
-                Err(error) => failed(&node, &name, mailbox.failed(clock.machine()), &error),
+                Err(error) => failed(&node, not_sent, &name, mailbox.failed(clock.machine()), &error),
             }
             continue;
         }
@@ -193,18 +204,18 @@ async fn deliver(config: &config::Observatory, http: &mut Http, way: &Way, lette
     }
 }
 
-fn failed(node: &Node, name: &str, failures: u32, error: &anyhow::Error) {
+fn failed(node: &Node, not_sent: AlertKind, name: &str, failures: u32, error: &anyhow::Error) {
     tracing::debug!(name, failures, error = format!("{error:#}"), "a receiver of alerts was not reached");
     if failures >= FAILURES_BEFORE_ALERT {
-        node.alerts.raise(AlertKind::AlertNotSent, name, &format!("\"{name}\" gets no alerts: {error:#}"));
+        node.alerts.raise(not_sent, name, &format!("\"{name}\" gets no alerts: {error:#}"));
     }
 }
 
 /// A node that sends no more does not know whether it could. Its alert stays active until the node that sends now knows
 /// better: without an attempt there is no news about a receiver.
-fn last_word(node: &Node, name: &str, silent_since: MachineTime, now: MachineTime) {
+fn last_word(node: &Node, not_sent: AlertKind, name: &str, silent_since: MachineTime, now: MachineTime) {
     if now.since(silent_since) >= LAST_WORD {
-        node.alerts.clear(AlertKind::AlertNotSent, name);
+        node.alerts.clear(not_sent, name);
     }
 }
 
@@ -221,7 +232,7 @@ pub async fn keep_pinging(node: Node, ping: Ping, is_well: impl Fn() -> bool) ->
         if is_well {
             silent_since = None;
         } else {
-            last_word(&node, PING, *silent_since.get_or_insert(now), now);
+            last_word(&node, AlertKind::AlertNotSent, PING, *silent_since.get_or_insert(now), now);
         }
         if is_well && now >= next {
             let ask = Ask::new(Method::GET, &ping.url, None, String::new());
@@ -233,7 +244,7 @@ pub async fn keep_pinging(node: Node, ping: Ping, is_well: impl Fn() -> bool) ->
                 }
                 Err(error) => {
                     failures += 1;
-                    failed(&node, PING, failures, &error);
+                    failed(&node, AlertKind::AlertNotSent, PING, failures, &error);
                     period.min(FIRST_PING_AGAIN.saturating_mul(1 << failures.min(10)))
                 }
             };

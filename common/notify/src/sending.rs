@@ -60,12 +60,12 @@ pub async fn keep_pushing(
                 let name = was.receiver();
                 match known.borrow().get(&id) {
                     Some(now) if *now == was => {
-                        node.alerts.raise(AlertKind::AlertNotSent, &name, &format!("\"{name}\" gets no alerts: its task ended"));
+                        node.alerts.raise(AlertKind::PushNotSent, &name, &format!("\"{name}\" gets no alerts: its task ended"));
                     }
                     // With other settings it goes on where it was.
                     Some(now) if now.receiver() == name => continue,
                     _ => {
-                        node.alerts.clear(AlertKind::AlertNotSent, &name);
+                        node.alerts.clear(AlertKind::PushNotSent, &name);
                         node.alerts.set_notifications(&name, Vec::new());
                         continue;
                     }

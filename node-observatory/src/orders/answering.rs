@@ -21,6 +21,9 @@ use crate::night::PublishedNight;
 /// Answers of so many orders are remembered.
 const REMEMBERED: usize = 64;
 
+/// An order waits so long for the one before it.
+const TURN: Duration = Duration::from_secs(10);
+
 /// Where orders are taken.
 struct OrderServer {
     telescope: Telescope,
@@ -101,7 +104,12 @@ impl OrderServer {
             execution::settle(&self.telescope).await;
             return reply;
         }
-        let _turn = self.turn.lock().await;
+        // A disk that hangs holds the turn for ever; those who wait for it must not keep out who closes.
+        let Ok(_turn) = tokio::time::timeout(TURN, self.turn.lock()).await else {
+            let why =
+                "an order before it waits for the disk of the observatory node and is not done; closing needs no disk";
+            return execution::refuse(&order.id, Reason::NotNow, why);
+        };
         // A repeat that waited for the first.
         if let Some(reply) = self.answered(&order.id) {
             return reply;

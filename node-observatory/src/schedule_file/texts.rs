@@ -1,5 +1,6 @@
 //! Answers on the bus with the text of the active schedule or of an earlier one, and with the list of them.
 
+use std::io;
 use std::sync::{Arc, PoisonError};
 
 use bus::Service;
@@ -31,21 +32,25 @@ pub(super) async fn serve(file: &Arc<ScheduleFile>) -> anyhow::Result<Service> {
 
 /// Blocks.
 fn answer(file: &ScheduleFile, question: &ScheduleTextQuestion) -> ScheduleTexts {
-    let listed = match file.versions.list() {
-        Ok(listed) => listed,
-        Err(error) => return problem(format!("the versions cannot be read: {error}")),
-    };
+    let listed = file.versions.list();
     if let Some(most) = question.list {
+        let listed = match listed {
+            Ok(listed) => listed,
+            Err(error) => return problem(format!("the versions cannot be read: {error}")),
+        };
         let most = usize::try_from(most).unwrap_or(MOST_VERSIONS).min(MOST_VERSIONS);
         let wanted = listed.into_iter().rev().filter(|found| question.before.is_none_or(|end| found.version < end));
         return ScheduleTexts { versions: wanted.take(most).map(published).collect(), ..Default::default() };
     }
     let text = match question.version {
-        Some(version) => file.versions.text(version).map_err(|error| error.to_string()),
-        None => {
-            let active = file.active.lock().unwrap_or_else(PoisonError::into_inner).clone();
-            active.map(|ActiveText { text, .. }| text.to_string()).ok_or_else(|| "no schedule was read yet".to_owned())
-        }
+        Some(version) => match file.versions.text(version) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return ScheduleTexts::default(),
+            read => read.map_err(|error| error.to_string()),
+        },
+        None => match file.active.lock().unwrap_or_else(PoisonError::into_inner).clone() {
+            Some(ActiveText { text, .. }) => Ok(text.to_string()),
+            None => return ScheduleTexts::default(),
+        },
     };
     let text = match text {
         Ok(text) if text.len() > MOST_BYTES => {
@@ -59,7 +64,8 @@ fn answer(file: &ScheduleFile, question: &ScheduleTextQuestion) -> ScheduleTexts
         Some(version) => found.version == version,
         None => found.sha256 == sha256,
     };
-    let versions = listed.into_iter().rev().find(is_it).map(published).into_iter().collect();
+    // A list that cannot be read hides no text.
+    let versions = listed.unwrap_or_default().into_iter().rev().find(is_it).map(published).into_iter().collect();
     ScheduleTexts { text: Some(text), sha256: Some(sha256), versions, problem: None }
 }
 

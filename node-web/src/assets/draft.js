@@ -57,7 +57,15 @@ export function draftOf(id) {
   };
   const orElse = (nothing) => (error) => { if (error.status !== 404) throw error; return nothing; };
   const atServer = () => ask(name).catch(orElse(null));
-  const readInForce = async () => { inForce.value = await textAt(base(id)).catch(orElse({ text: "", etag: "" })); };
+  /** Reads what is in force; a draft that nobody has changed is the schedule in force, whichever that is. */
+  const readInForce = async () => {
+    const before = inForce.peek();
+    inForce.value = await textAt(base(id)).catch(orElse({ text: "", etag: "" }));
+    if (!before || stored.peek() || theirs.peek() || text.peek() !== before.text || past.peek().length + future.peek().length) return;
+    text.value = inForce.peek().text;
+    basedOn.value = inForce.peek().etag;
+    keep();
+  };
 
   /** Reads it, once; what this tab has kept is newer than what is stored. */
   const read = () => (reading ??= (async () => {
@@ -67,9 +75,16 @@ export function draftOf(id) {
     stored.value = other ? { etag: own.etag } : found;
     theirs.value = other ? found : null;
     basedOn.value = own?.basedOn ?? found?.based_on ?? inForce.peek().etag;
-    text.value = own?.text ?? (found ?? inForce.peek()).text;
+    const next = own?.text ?? (found ?? inForce.peek()).text;
+    if (next !== text.peek()) past.value = future.value = [];
+    text.value = next;
     keep();
   })().catch((error) => { reading = null; throw error; }));
+  /** As the editor opens: what nobody has changed here is read again, since somebody else may have. */
+  const begin = () => {
+    if (isStored.peek() && !theirs.peek()) reading = null;
+    return read();
+  };
 
   /** Another text, with words for what was done; steps of one `kind` that follow each other are undone together. */
   const edit = (next, what, kind = null) => {
@@ -124,15 +139,28 @@ export function draftOf(id) {
     edit(mine, `over the draft of ${found.author}`);
     return store();
   };
-  /** The schedule in force again, and no draft at the server. */
+  const remove = (etag) => ask(name, { method: "DELETE", headers: { "If-Match": `"${etag}"` } }).catch(orElse(null));
+  /** The schedule in force again, and no draft at the server; undoing leads to the one that was stored there, and to this one. */
   const startOver = async () => {
     await readInForce();
-    const etag = stored.peek()?.etag;
-    if (etag) await ask(name, { method: "DELETE", headers: { "If-Match": `"${etag}"` } }).catch(orElse(null));
+    const last = stored.peek();
+    if (last) await remove(last.etag);
+    if (last?.text) edit(last.text, `the draft of ${last.author}`);
     stored.value = null;
     basedOn.value = inForce.peek().etag;
     edit(inForce.peek().text, "starting over");
     keep();
+  };
+  /** This text is in force, and no draft any more; one that somebody else has stored stays. */
+  const ended = async (sent) => {
+    const last = stored.peek();
+    stored.value = null;
+    past.value = future.value = [];
+    await readInForce();
+    text.value = inForce.peek().text;
+    basedOn.value = inForce.peek().etag;
+    keep();
+    if (last?.text === sent) await remove(last.etag);
   };
   const bring = (old, number) => {
     brought = { text: old, number };
@@ -142,15 +170,22 @@ export function draftOf(id) {
   const reason = () => (brought?.text === text.value ? `back to version ${brought.number}` : "");
   const upload = async (file) => {
     if (file.size > MOST_BYTES) throw new Error(`${file.name} has ${file.size} bytes; a schedule that is put over the network has at most ${MOST_BYTES}.`);
-    edit(await file.text(), `upload of ${file.name}`);
+    const bytes = await file.arrayBuffer();
+    let read;
+    try {
+      read = new TextDecoder("utf-8", { fatal: true }).decode(bytes);
+    } catch {
+      throw new Error(`${file.name} is no text in UTF-8; save it as UTF-8, and upload it again.`);
+    }
+    edit(read, `upload of ${file.name}`);
   };
-  /** Puts this very text in force in the place of the one with which it is compared; gives the command. Whoever edits next begins with what is in force. */
-  const activate = async (why) => {
-    const instead = inForce.peek().etag;
-    const given = await command(id, "put-schedule", { reason: why, waitS: 10, text: text.peek(), ...(instead && { instead_of: instead }) })
+  /** Puts this very text in force in the place of the one with the ETag `instead`; gives the command. Whoever edits next begins with what is in force. */
+  const activate = async (why, instead) => {
+    const sent = text.peek();
+    const given = await command(id, "put-schedule", { reason: why, waitS: 10, text: sent, ...(instead && { instead_of: instead }) })
       .catch(async (error) => { if (error.status === 412) await readInForce(); throw error; });
-    if (given.state === "done") await startOver().catch(() => {});
+    if (given.state === "done") await ended(sent).catch(() => {});
     return given;
   };
-  return { text, inForce, basedOn, stored, theirs, past, future, rows, changes, isStored, read, readInForce, edit, undo: step(past, future), redo: step(future, past), store, takeTheirs, keepMine, startOver, bring, reason, upload, activate, seen: () => { basedOn.value = inForce.peek().etag; keep(); } };
+  return { text, inForce, basedOn, stored, theirs, past, future, rows, changes, isStored, read, begin, readInForce, edit, undo: step(past, future), redo: step(future, past), store, takeTheirs, keepMine, startOver, bring, reason, upload, activate, seen: () => { basedOn.value = inForce.peek().etag; keep(); } };
 }

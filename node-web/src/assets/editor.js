@@ -61,7 +61,8 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
   const checked = useSignal(null);
   const dry = useSignal(null);
   const problem = useSignal(null);
-  const activating = useSignal(false);
+  /** While the draft is about to be activated: the ETag of the schedule that it was shown to replace. */
+  const activating = useSignal(null);
   /** The form that is open: of a row, or of a new one. */
   const form = useSignal(null);
   const caret = useSignal(0);
@@ -76,7 +77,7 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
       problem.value = error;
     }
   };
-  useEffect(() => { press(draft.read)(); }, [draft]);
+  useEffect(() => { press(draft.begin)(); }, [draft]);
   // The browser's own steps would know nothing of what a bar or a form has changed.
   useEffect(() => {
     const back = (event) => {
@@ -143,9 +144,12 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
   const activate = async (event) => {
     event.preventDefault();
     const why = String(new FormData(event.target).get("reason"));
-    activating.value = false;
+    const instead = activating.peek();
+    activating.value = null;
     const say = note(`${id}: the schedule is being activated …`, true);
-    const command = await draft.activate(why).catch((error) => { say(`${id}: not activated: ${error.message}`); throw error; });
+    // An order whose answer was lost may have been followed.
+    const told = (error) => ([0, 504].includes(error.status) ? `not known whether it was activated (look at the schedules that were in force): ${error.message}` : `not activated: ${error.message}`);
+    const command = await draft.activate(why, instead).catch((error) => { say(`${id}: ${told(error)}`); throw error; });
     say(`${id}: the schedule is ${command.state}${command.detail ? `: ${command.detail}` : ""}`);
     if (command.state !== "failed") close();
   };
@@ -162,7 +166,7 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
   return html`<${Card} label="Draft" cls="draft">
       <div class="row wrap"><div class="row wrap facts grow"><span>In force <b>version ${revision}</b></span><span>Draft <b data-testid="stored">${draft.isStored.value ? (stored.value ? `stored by ${stored.value.author}, ${clock(stored.value.changed_utc)}` : "as in force") : "not stored yet"}</b>, ${changes.length} ${changes.length === 1 ? "row differs" : "rows differ"}</span>
         <span data-testid="check">${checked.value?.error ? "not checked" : html`<span class=${errors ? "ink-p2" : ""}>${errors > 0 && html`<${Shape} n=${2} /> `}<b>${errors}</b> ${errors === 1 ? "error" : "errors"}</span>, <span class=${warnings ? "ink-p3" : ""}>${warnings > 0 && html`<${Shape} n=${3} /> `}<b>${warnings}</b> ${warnings === 1 ? "warning" : "warnings"}</span>, ${checked.value?.rows ?? "?"} rows`}</span></div>
-        <div class="row wrap">${step(past.value, "Undo", draft.undo)}${step(future.value, "Redo", draft.redo)}<button class="btn soft" disabled=${draft.isStored.value || theirs.value !== null} onClick=${press(draft.store)}>Store</button><button class="btn soft" disabled=${errors > 0} onClick=${press(simulate)}>Dry run</button><button class="btn main" disabled=${waits !== null} onClick=${() => { activating.value = true; }}>Activate …</button></div></div>
+        <div class="row wrap">${step(past.value, "Undo", draft.undo)}${step(future.value, "Redo", draft.redo)}<button class="btn soft" disabled=${draft.isStored.value || theirs.value !== null} onClick=${press(draft.store)}>Store</button><button class="btn soft" disabled=${errors > 0} onClick=${press(simulate)}>Dry run</button><button class="btn main" disabled=${waits !== null} onClick=${() => { activating.value = inForce.peek().etag; }}>Activate …</button></div></div>
       ${waits && html`<p class="why">${waits}</p>`}
       ${theirs.value && html`<div class="note p2" role="alert" data-testid="conflict"><span class="grow"><b>${theirs.value.author} stored another draft at ${clock(theirs.value.changed_utc)}.</b> Nothing is lost: below is how theirs differs from yours, and Undo leads to the one that you do not take.</span><span class="row"><button class="btn soft" onClick=${() => draft.takeTheirs()}>Take theirs</button><button class="btn soft" onClick=${press(draft.keepMine)}>Keep mine</button></span></div><${Changes} label="Their draft compared with yours" changes=${difference(text.value, theirs.value.text)} />`}
       ${isOld && html`<div class="note p3" data-testid="other-in-force"><span class="grow"><b>Another schedule was put in force since this draft began.</b> The difference below is to that one.</span><button class="btn soft" onClick=${draft.seen}>I have seen it</button></div>`}
@@ -175,5 +179,5 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
     ${dry.value && html`<${Card} name="Dry run" flush testid="dry-run" end=${plan ? plan.night && `${plan.night.frames} frames, ${number(plan.night.gigabytes, 1)} GB, ${duration(plan.night.dark_exposed_s)} of ${duration(plan.night.dark_s)} dark time exposed` : "before the last change"}>
       <${Table} label="Dry run" cls="cards" columns=${[{ key: "r", name: "Row" }, { key: "b", name: "Runs" }, { key: "f", name: "Frames", num: true }, { key: "n", name: "Outcome" }]} rows=${dry.value.rows} keyOf=${(row) => row.row} cells=${(row) => html`<td class="k">${row.row + 1} ${[row.action, row.object].filter(Boolean).join(" ")}</td><td>${row.start_utc ? `${clock(row.start_utc)} to ${row.end_utc ? clock(row.end_utc) : "—"}` : "will not run"}</td><td class="num">${row.frames_wanted ? `${row.frames} of ${row.frames_wanted}` : row.frames || ""}</td><td class="m">${row.note ?? (row.whole === false ? "not whole" : "")}</td>`} /><//>`}
     <${Guard} name="The form">${form.value && html`<${Form} id=${id} rows=${rows} row=${form.value.row?.row ?? null} site=${site} onDone=${take} close=${() => { form.value = null; }} />`}<//>
-    ${activating.value && html`<${Dialog} label="Activate the draft" close=${() => { activating.value = false; }}><h2>Put this schedule in force?</h2><p class="m">${rows.length} rows take the place of those in force; ${changes.length} differ. ${ends.length ? html`<b>${ends.map(({ before }) => nameOf(before.row)).join(", ")} runs and is not in it unchanged:</b> its frame is finished, then it ends.` : "A row that runs goes on."}</p><form class="stack" onSubmit=${press(activate)}><div class="field"><label for="why">Why</label><div class="in"><input id="why" name="reason" data-first maxlength="500" required defaultValue=${draft.reason()} /></div></div><div class="acts"><button type="button" class="btn soft" onClick=${() => { activating.value = false; }}>Cancel</button><button class="btn main">Activate</button></div></form><//>`}`;
+    ${activating.value !== null && html`<${Dialog} label="Activate the draft" close=${() => { activating.value = null; }}><h2>Put this schedule in force?</h2><p class="m">${rows.length} rows take the place of those in force; ${changes.length} differ. ${ends.length ? html`<b>${ends.map(({ before }) => nameOf(before.row)).join(", ")} runs and is not in it unchanged:</b> its frame is finished, then it ends.` : "A row that runs goes on."}</p><form class="stack" onSubmit=${press(activate)}><div class="field"><label for="why">Why</label><div class="in"><input id="why" name="reason" data-first maxlength="500" required defaultValue=${draft.reason()} /></div></div><div class="acts"><button type="button" class="btn soft" onClick=${() => { activating.value = null; }}>Cancel</button><button class="btn main">Activate</button></div></form><//>`}`;
 }

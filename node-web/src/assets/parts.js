@@ -208,6 +208,8 @@ export class Guard extends Component {
 /** A dialog that is open while it is shown; Escape and the area around it close it. */
 export function Dialog({ label, close, children, cls = "" }) {
   const element = useRef(null);
+  // A text that is marked beyond the edge of the dialog does not close it.
+  const pressed = useRef(null);
   useEffect(() => {
     const dialog = element.current;
     const before = /** @type {HTMLElement} */ (document.activeElement);
@@ -219,7 +221,7 @@ export function Dialog({ label, close, children, cls = "" }) {
     };
   }, []);
   return html`<dialog ref=${element} class=${cls} aria-label=${label} onCancel=${(event) => { event.preventDefault(); close(); }}
-    onClick=${(event) => event.target === element.current && close()}><div class="stack">${children}</div></dialog>`;
+    onPointerDown=${(event) => { pressed.current = event.target; }} onClick=${(event) => event.target === element.current && pressed.current === element.current && close()}><div class="stack">${children}</div></dialog>`;
 }
 
 /** A group of buttons of which one is pressed: `options` are `[value, word]`. */

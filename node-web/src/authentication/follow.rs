@@ -2,6 +2,7 @@
 
 use std::net::SocketAddr;
 use std::sync::PoisonError;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use contract::observatory::AlertKind;
@@ -52,6 +53,7 @@ impl Authentication {
                         "the users file was read"
                     );
                 }
+                this.0.is_faulty.store(watched.fault().is_some(), Ordering::Relaxed);
                 *this.0.users.write().unwrap_or_else(PoisonError::into_inner) = users;
             }
             watched.fault().map(str::to_owned)

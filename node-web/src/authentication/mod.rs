@@ -17,6 +17,7 @@ mod sessions;
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
 use axum::extract::{Request, State};
@@ -91,7 +92,11 @@ pub struct Authentication(Arc<Inner>);
 
 struct Inner {
     rules: Rules,
+    file: PathBuf,
+    /// Held while the disk is asked, which may take for ever.
     watched: Mutex<WatchedUsers>,
+    /// The users file does not count, so that nobody is known who was known before.
+    is_faulty: AtomicBool,
     users: RwLock<Option<Arc<Users>>>,
     sessions: Mutex<Sessions>,
     tickets: Mutex<Tickets>,
@@ -128,7 +133,9 @@ impl Authentication {
                 insecure_open: web.insecure_open,
                 encrypted: web.certificate.is_some(),
             },
+            file: web.users.clone(),
             users: RwLock::new(watched.users().cloned()),
+            is_faulty: AtomicBool::new(watched.fault().is_some()),
             watched: Mutex::new(watched),
             sessions: Mutex::default(),
             tickets: Mutex::default(),
@@ -155,7 +162,12 @@ impl Authentication {
 
     /// The users file.
     pub fn file(&self) -> PathBuf {
-        self.0.watched.lock().unwrap_or_else(PoisonError::into_inner).file().to_owned()
+        self.0.file.clone()
+    }
+
+    /// Is the users file missing or damaged, so that nothing is known of who may do what?
+    pub fn is_faulty(&self) -> bool {
+        self.0.is_faulty.load(Ordering::Relaxed)
     }
 
     /// Machine time and civil time.

@@ -80,7 +80,8 @@ impl StoredDraft {
 pub struct Drafts {
     files: Arc<Files>,
     /// One change after another, so that what a change demands is so when it is made.
-    turn: Mutex<()>,
+    /// Held until the disk has answered, whoever has gone meanwhile.
+    turn: Arc<Mutex<()>>,
 }
 
 #[derive(Debug)]
@@ -90,7 +91,7 @@ impl Drafts {
     /// Those of a node with this configuration; nothing is read or made yet.
     pub fn of(config: &config::Observatory) -> Self {
         let folder = config.folders.data.join(format!("drafts-{}", config.place.telescope));
-        Self { files: Arc::new(Files(folder)), turn: Mutex::default() }
+        Self { files: Arc::new(Files(folder)), turn: Arc::default() }
     }
 
     /// The drafts of a telescope, by name.
@@ -107,7 +108,7 @@ impl Drafts {
     pub async fn read(&self, address: &Address, id: &Name) -> Result<StoredDraft, Problem> {
         let path = self.files.path(address, id);
         let found = self.blocking(move |_| read(&path)).await?;
-        found.ok_or_else(|| Problem::not_found(format!("There is no draft {id} of {address} at this server.")))
+        found.ok_or_else(|| none(address, id))
     }
 
     /// Stores a draft where `demand` holds; true where it is new. The same text again changes nothing.
@@ -121,9 +122,8 @@ impl Drafts {
         demand: Demand,
         draft: StoredDraft,
     ) -> Result<(StoredDraft, bool), Problem> {
-        let _turn = self.turn.lock().await;
         let (address, id) = (address.clone(), id.clone());
-        self.blocking(move |files| Ok(files.put(&address, &id, &demand, draft))).await?
+        self.in_turn(move |files| Ok(files.put(&address, &id, &demand, draft))).await?
     }
 
     /// Removes a draft where `demand` holds.
@@ -131,11 +131,29 @@ impl Drafts {
     /// # Errors
     /// 404 where there is none, 412 where the demand does not hold.
     pub async fn remove(&self, address: &Address, id: &Name, demand: Demand) -> Result<(), Problem> {
-        let _turn = self.turn.lock().await;
-        let now = self.read(address, id).await?;
-        demand.check(Some(&now.etag()))?;
-        let path = self.files.path(address, id);
-        self.blocking(move |_| fs::remove_file(&path)).await
+        let (path, none) = (self.files.path(address, id), none(address, id));
+        let removed = self.in_turn(move |_| {
+            let Some(now) = read(&path)? else { return Ok(Err(none)) };
+            match demand.check(Some(&now.etag())) {
+                Ok(()) => fs::remove_file(&path).map(Ok),
+                Err(problem) => Ok(Err(problem)),
+            }
+        });
+        removed.await?
+    }
+
+    /// Changes what is stored, one after another.
+    async fn in_turn<T: Send + 'static>(
+        &self,
+        act: impl FnOnce(&Files) -> io::Result<T> + Send + 'static,
+    ) -> Result<T, Problem> {
+        let turn = self.turn.clone().lock_owned().await;
+        self.blocking(move |files| {
+            let done = act(files);
+            drop(turn);
+            done
+        })
+        .await
     }
 
     async fn blocking<T: Send + 'static>(
@@ -146,6 +164,10 @@ impl Drafts {
         let done = tokio::task::spawn_blocking(move || act(&files)).await;
         done.map_err(io::Error::other).and_then(|done| done).map_err(|error| failed(&error))
     }
+}
+
+fn none(address: &Address, id: &Name) -> Problem {
+    Problem::not_found(format!("There is no draft {id} of {address} at this server."))
 }
 
 impl Files {
@@ -236,7 +258,7 @@ mod tests {
     use super::*;
 
     fn drafts(folder: &Path) -> Drafts {
-        Drafts { files: Arc::new(Files(folder.join("drafts"))), turn: Mutex::default() }
+        Drafts { files: Arc::new(Files(folder.join("drafts"))), turn: Arc::default() }
     }
 
     fn draft(text: &str) -> StoredDraft {

@@ -1,8 +1,9 @@
 //! The users: for an engineer of all telescopes all of them, and for everybody their own password.
 
+use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::Path;
+use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Response};
 use axum::{Extension, Json};
@@ -15,6 +16,7 @@ use users::{Grant, NameFault, PasswordFault, PasswordHash, Principal, Secret, Us
 use crate::authentication::{Authentication, Client, Refusal};
 use crate::json_body::JsonBody;
 use crate::problem::{Code, Problem};
+use crate::server::Server;
 
 /// `GET /api/v1/users`.
 #[derive(Debug, JsonSchema, Serialize)]
@@ -136,8 +138,9 @@ fn change(users: &mut Users, name: Name, asked: UserChange, only_new: bool, prox
     Ok(true)
 }
 
-/// Removes a user with their sessions and tokens.
+/// Removes a user with their sessions, tokens and the devices that get alerts.
 pub async fn remove(
+    State(server): State<Arc<Server>>,
     Extension(authentication): Extension<Authentication>,
     Extension(principal): Extension<Principal>,
     Extension(client): Extension<Client>,
@@ -152,6 +155,9 @@ pub async fn remove(
     let gone = name.clone();
     let removed = move |users: &mut Users| if users.remove(&gone) { Ok(()) } else { Err(none().into()) };
     authentication.edit(|users| keeping_an_engineer(users, removed)).await?;
+    // At once: in a moment another person may have the name.
+    let retained = server.push.retain(|_, one| one.user != name.as_str()).await;
+    retained.map_err(|error| Problem::internal(&error))?;
     tracing::info!(by = %principal, address = %client.address, user = %name, "a user was removed");
     Ok(StatusCode::NO_CONTENT)
 }

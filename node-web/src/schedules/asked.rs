@@ -67,7 +67,7 @@ pub async fn texts(
 /// The text that was asked for with its hash.
 ///
 /// # Errors
-/// As of [`texts`], and where there is none.
+/// As of [`texts`]; 404 where there is none, 504 where there is one that cannot be had: an editor must not take that for none.
 pub async fn text(
     server: &Server,
     address: &Address,
@@ -77,10 +77,13 @@ pub async fn text(
     let mut found = texts(server, address, &question).await?;
     match (found.text.take(), found.sha256.take()) {
         (Some(text), Some(sha256)) => Ok((text, sha256, found)),
-        _ => {
-            let why = found.problem.unwrap_or_else(|| "there is none".to_owned());
-            Err(Problem::not_found(format!("No such schedule of {address}: {why}.")))
-        }
+        _ => Err(match (found.problem, version) {
+            (Some(why), _) => {
+                Problem::new(Code::Observatory, "The schedule cannot be read", format!("{address}: {why}."))
+            }
+            (None, Some(version)) => Problem::not_found(format!("{address} had no version {version} of the schedule.")),
+            (None, None) => Problem::not_found(format!("No schedule of {address} is in force.")),
+        }),
     }
 }
 

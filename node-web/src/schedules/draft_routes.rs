@@ -23,7 +23,7 @@ use crate::commands::{CommandRequest, carry_out, is_repeat};
 use crate::drafts::etag::{Demand, is_known, quoted};
 use crate::drafts::{DraftSummary, StoredDraft};
 use crate::json_body::JsonBody;
-use crate::problem::Problem;
+use crate::problem::{Code, Problem};
 use crate::routes::network::{NEVER_CACHED, known};
 use crate::server::Server;
 
@@ -46,6 +46,9 @@ pub struct ActivateRequest {
     pub reason: String,
     /// The person who orders it, where this server asks nobody to sign in.
     pub operator: Option<String>,
+    /// ETag of the draft that was looked at, as `diff` gives it: where somebody has changed it since, nothing is put in force.
+    /// Whatever it is now counts where this is absent.
+    pub draft_etag: Option<String>,
 }
 
 /// The telescope and the draft of a path.
@@ -153,6 +156,12 @@ pub async fn activate(
             ));
         }
     };
+    let ActivateRequest { reason, operator, draft_etag } = request;
+    let now = draft.etag();
+    if let Some(looked_at) = draft_etag.filter(|tag| tag.trim_matches('"') != now) {
+        let detail = format!("The draft {id} is {now} and not {looked_at} any more: look at it again.");
+        return Err(Problem::new(Code::Precondition, "Somebody changed the draft", detail));
+    }
     if !is_repeat {
         let found = asked::findings(&server, &address, &draft.text).await?;
         if !found.valid {
@@ -161,7 +170,6 @@ pub async fn activate(
     }
     let mut parameters = Map::from_iter([("text".to_owned(), json!(draft.text))]);
     parameters.extend(instead_of.map(|sha256| ("instead_of".to_owned(), json!(sha256))));
-    let ActivateRequest { reason, operator } = request;
     let request = CommandRequest { command: "put-schedule".to_owned(), parameters, reason, operator, deadline_s: None };
     carry_out(&server, &caller, client, address, &headers, request).await
 }

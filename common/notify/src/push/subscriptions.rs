@@ -31,9 +31,10 @@ type Devices = BTreeMap<String, Subscription>;
 pub struct Subscriptions {
     file: PathBuf,
     key: SigningKey,
-    known: watch::Sender<Devices>,
+    known: Arc<watch::Sender<Devices>>,
     /// One change after another.
-    turn: Mutex<()>,
+    /// Held until the disk has answered, whoever has gone meanwhile.
+    turn: Arc<Mutex<()>>,
     /// Push services that the site's file names.
     services: Vec<String>,
     /// Whom a push service may ask about this server: an address of it, or of the project.
@@ -85,8 +86,8 @@ impl Subscriptions {
         Ok(Self {
             file,
             key,
-            known: watch::Sender::new(known),
-            turn: Mutex::default(),
+            known: Arc::new(watch::Sender::new(known)),
+            turn: Arc::default(),
             services: config.web.push_services.clone(),
             contact: page.unwrap_or_else(|| env!("CARGO_PKG_REPOSITORY").to_owned()),
         })
@@ -142,19 +143,20 @@ impl Subscriptions {
     }
 
     async fn change<T>(&self, change: impl FnOnce(&mut Devices) -> T) -> io::Result<T> {
-        let _turn = self.turn.lock().await;
+        let turn = self.turn.clone().lock_owned().await;
         let mut known = self.known.borrow().clone();
         let done = change(&mut known);
         let subscriptions = known.values().cloned().collect();
         let stored = serde_json::to_vec_pretty(&Stored { key: self.key.document().to_owned(), subscriptions })?;
-        let file = self.file.clone();
+        let (file, published) = (self.file.clone(), self.known.clone());
         let write = move || {
             file.parent().map_or(Ok(()), private::make_folder)?;
-            private::write_whole(&file, &stored)
+            private::write_whole(&file, &stored)?;
+            published.send_replace(known);
+            drop(turn);
+            Ok(())
         };
-        tokio::task::spawn_blocking(write).await.map_err(io::Error::other)??;
-        self.known.send_replace(known);
-        Ok(done)
+        tokio::task::spawn_blocking(write).await.map_err(io::Error::other)?.map(|()| done)
     }
 
     /// Sends a message to one of them. Where its push service says that it takes no more, it is dropped.

@@ -11,7 +11,7 @@ import { me } from "../user.js";
 
 const HOLD_MS = 1500;
 /** Orders with a page of their own. */
-const ELSEWHERE = new Set(["put-schedule", "ack", "shelve", "unshelve"]);
+const ELSEWHERE = new Set(["put-schedule", "skip", "repeat", "ack", "shelve", "unshelve"]);
 
 /** A sentence in which names of orders stand between backticks. */
 const Words = ({ text }) => String(text).split("`").map((part, i) => (i % 2 ? html`<span class="mono" key=${i}>${part}</span>` : part));
@@ -54,17 +54,18 @@ async function give(id, order, parameters, reason) {
   }
 }
 
-function Order({ id, order, close, reload }) {
+/** The dialog of an order; `preset` has the parameters that need no asking, and `about` names what they stand for. */
+export function Order({ id, order, close, reload = () => {}, preset = {}, about = id.split("/")[1] }) {
   const form = useRef(null);
-  const properties = Object.entries(order.parameters?.properties ?? {});
+  const properties = Object.entries(order.parameters?.properties ?? {}).filter(([name]) => !(name in preset));
   const send = () => {
     if (!form.current.reportValidity()) return;
-    const parameters = valuesOf(form.current, properties);
+    const parameters = { ...preset, ...valuesOf(form.current, properties) };
     const reason = new FormData(form.current).get("reason") ?? "";
     close();
     give(id, order.command, parameters, reason).then(reload);
   };
-  return html`<${Dialog} label=${title(order.command)} close=${close}><h2>${title(order.command)} ${id.split("/")[1]}?</h2><p class="m"><${Words} text=${order.meaning} /></p>
+  return html`<${Dialog} label=${title(order.command)} close=${close}><h2>${title(order.command)} ${about}?</h2><p class="m"><${Words} text=${order.meaning} /></p>
     <form ref=${form} class="stack" onSubmit=${(event) => { event.preventDefault(); if (order.closes) send(); }}>${properties.map(([path, schema]) => html`<${Field} key=${path} path=${path} schema=${schema} required=${(order.parameters.required ?? []).includes(path)} />`)}
       <div class="field"><label for="reason">Why${order.needs_reason ? "" : " (may be left empty)"}</label><div class="in"><input id="reason" name="reason" maxlength="500" required=${order.needs_reason} data-first /></div></div>
       ${order.against.length > 0 && html`<ul class="locks">${order.against.map((text) => html`<li key=${text} class="no"><${Icon} name="x" />${text}</li>`)}</ul>`}
@@ -95,7 +96,7 @@ export function Controls({ id, summary }) {
   const chosen = useSignal(null);
   const now = standing(summary);
   const orders = (catalogue.data ?? []).filter((order) => !ELSEWHERE.has(order.command) && order.command !== "close");
-  const sky = new Set(["start", "open-again", "override", "robotic-on", "skip", "repeat"]);
+  const sky = new Set(["start", "open-again", "override"]);
   const choose = (order) => { chosen.value = order; };
   return html`<div class="grid g-side"><div class="stack"><${Card} name="Always available" end="towards safe: no unlock"><${CloseButton} id=${id} xl named cls="desk" /><p class="why">${now.posture === "closed" ? "It is closed now. Closing again does no harm." : `The dome is ${now.posture === "unknown" ? "in a state that nobody knows" : now.posture}.`}</p><//>
       <${Loaded} of=${catalogue} what="The list of orders">${() => html`<${Group} name="Towards safe" hint="one confirmation" orders=${orders.filter((order) => order.closes)} onChoose=${choose} /><${Group} name="Routine" hint="held for 1.5 s" orders=${orders.filter((order) => !order.closes && !sky.has(order.command))} onChoose=${choose} /><${Group} name="Towards the sky" hint="held for 1.5 s" orders=${orders.filter((order) => !order.closes && sky.has(order.command))} onChoose=${choose} />`}<//></div>

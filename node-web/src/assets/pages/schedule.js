@@ -4,9 +4,11 @@ import { useGet, useReport } from "../api.js";
 import { Changes } from "../changes.js";
 import { base, draftOf, textAt } from "../draft.js";
 import { useForecast } from "../forecast.js";
+import { title } from "../form.js";
 import { clock, day, hourMinute, nightOf } from "../format.js";
 import { Keys, Night } from "../night.js";
 import { Card, Loaded, Table } from "../parts.js";
+import { Order } from "./controls.js";
 import { difference } from "../rowtext.js";
 import { useSite } from "../site.js";
 import { skyNow, tick, useTopic } from "../store.js";
@@ -16,14 +18,27 @@ const LISTED = 10;
 /** As many as the server lists. */
 const MOST_LISTED = 1000;
 
-function Rows({ rows, plan }) {
+/** The orders that make sense about a row now. */
+function ordersAbout(row) {
+  const runsAgain = Date.parse(row.end_utc) > (skyNow() ?? 0) ? ["repeat"] : [];
+  if (row.status === "interrupted") return ["skip", ...runsAgain];
+  return ["pending", "running"].includes(row.status) ? ["skip"] : runsAgain;
+}
+
+function Rows({ id, rows, plan, sha256 }) {
+  const orders = useGet(`/api/v1/telescopes/${id}/commands/catalog`, 60).data;
+  /** While an order about a row is given: that order, the row, and the schedule in which it was seen. */
+  const chosen = useSignal(null);
+  const given = (row) => ordersAbout(row).map((command) => (Array.isArray(orders) ? orders.find((order) => order?.command === command && order.may) : null)).filter(Boolean);
   const forecast = new Map((plan?.rows ?? []).map((row) => [row.row, row]));
-  const columns = [{ key: "r", name: "Row", num: true }, { key: "w", name: "What" }, { key: "t", name: "Window, UTC" }, { key: "f", name: "Frames", num: true }, { key: "s", name: "Status" }, { key: "p", name: "Forecast", cls: "hidep" }];
+  const columns = [{ key: "r", name: "Row", num: true }, { key: "w", name: "What" }, { key: "t", name: "Window, UTC" }, { key: "f", name: "Frames", num: true }, { key: "s", name: "Status" }, { key: "p", name: "Forecast", cls: "hidep" }, { key: "o", name: "" }];
   return html`<${Table} label="Rows of tonight" columns=${columns} rows=${rows} keyOf=${(row) => row.row} rowProps=${(row) => ({ "data-testid": "schedule-row", "data-row": row.row, "data-status": row.status })} cells=${(row) => {
     const ahead = forecast.get(row.row);
     return html`<td class="num">${row.row + 1}</td><td class="k">${[row.action, row.object].filter(Boolean).join(" ")} <span class="mm">${row.camera ?? ""}</span></td><td>${hourMinute(row.start_utc)} – ${hourMinute(row.end_utc)}</td><td class="num">${row.frames || row.frames_wanted ? `${row.frames}${row.frames_wanted != null ? ` of ${row.frames_wanted}` : ""}` : ""}</td>
-      <td><span aria-hidden="true">${SHAPES[row.status] ?? "?"}</span> ${row.status}${row.detail ? html` <span class="m">${row.detail}</span>` : ""}</td><td class="hidep m">${ahead && row.status !== "finished" ? `${hourMinute(ahead.start_utc)} to ${hourMinute(ahead.end_utc)}${ahead.frames_wanted ? `, ${ahead.frames} frames` : ""}${ahead.note ? `; ${ahead.note}` : ""}` : ""}</td>`;
-  }} />`;
+      <td><span aria-hidden="true">${SHAPES[row.status] ?? "?"}</span> ${row.status}${row.detail ? html` <span class="m">${row.detail}</span>` : ""}</td><td class="hidep m">${ahead && row.status !== "finished" ? `${hourMinute(ahead.start_utc)} to ${hourMinute(ahead.end_utc)}${ahead.frames_wanted ? `, ${ahead.frames} frames` : ""}${ahead.note ? `; ${ahead.note}` : ""}` : ""}</td>
+      <td>${given(row).map((order) => html`<button key=${order.command} class="btn quiet sm" aria-label=${`${title(order.command)} row ${row.row + 1}`} onClick=${() => { chosen.value = { order, row, of: sha256 }; }}>${title(order.command)} …</button>`)}</td>`;
+  }} />
+  ${chosen.value && html`<${Order} key=${`${chosen.value.order.command} ${chosen.value.row.row}`} id=${id} order=${chosen.value.order} about=${`row ${chosen.value.row.row + 1}, ${[chosen.value.row.action, chosen.value.row.object].filter(Boolean).join(" ")}`} preset=${{ number: chosen.value.row.row + 1, ...(chosen.value.of && { of: chosen.value.of }) }} close=${() => { chosen.value = null; }} />`}`;
 }
 
 /** A version of before: what would change if it took the place of what is in force, and the way back to it. */
@@ -77,7 +92,7 @@ export function Schedule({ id }) {
   if (!entry) return html`<p class="m">No schedule received yet.</p>`;
   const { rows, file, revision, refused } = entry.body;
   const bring = (text, number) => edit(async () => {
-    await draft.read();
+    await draft.begin();
     draft.bring(text, number);
     scrollTo(0, 0);
   });
@@ -85,6 +100,6 @@ export function Schedule({ id }) {
     ${editor ? html`<div class="row wrap"><span class="grow m">Nothing of the draft is in force until it is activated.</span><button class="btn soft" onClick=${close}>Close the draft</button></div>${editor}`
     : html`<${Card} name="The night" end=${html`<${Keys} />`} cls="tl"><${Night} rows=${rows} plan=${plan?.rows} report=${report.data} site=${site} now=${skyNow()} /><//>
     ${refused && html`<div class="note p2"><span class="grow"><b>The file's newest text was not taken.</b> ${refused}</span></div>`}
-    <${Card} name="Rows of tonight" flush end=${html`<span class="mono">${file}</span>, version ${revision} <button class="btn sm soft" onClick=${() => edit()}>Edit a draft</button>`}><${Rows} rows=${rows} plan=${plan} /><//>`}
+    <${Card} name="Rows of tonight" flush end=${html`<span class="mono">${file}</span>, version ${revision} <button class="btn sm soft" onClick=${() => edit()}>Edit a draft</button>`}><${Rows} id=${id} sha256=${entry.body.sha256} rows=${rows} plan=${plan} /><//>`}
     <${Versions} id=${id} sha256=${entry.body.sha256} onBring=${bring} />`;
 }
