@@ -151,11 +151,12 @@ impl ActionError {
             | Self::Restarted { .. }
             | Self::NotSafe(_)
             | Self::Unnamed(_)
+            | Self::Cooling { .. }
             | Self::Hidden { .. }
             | Self::Script { .. }
             | Self::Journal(_) => true,
             Self::Unproven { again, .. } => *again,
-            Self::Cooling { .. } | Self::Impossible(_) | Self::Sky(_) => false,
+            Self::Impossible(_) | Self::Sky(_) => false,
         }
     }
 }

@@ -94,6 +94,12 @@ impl Authority {
         self.node.config.place.on_earth()
     }
 
+    /// The time that it surely is at an instant of the clock: earlier, where another clock says that this one is ahead. A
+    /// window has passed only once it surely has.
+    pub fn surely(&self, now: Utc) -> Utc {
+        now.plus_seconds(-self.verdict.borrow().ahead_s)
+    }
+
     /// Waits until there is an objection to a row's action.
     pub async fn objected(&self, row: &Row) -> Objection {
         let (mut verdict, mut hold, mut robotic) = (self.verdict.clone(), self.hold.clone(), self.robotic.subscribe());

@@ -95,6 +95,7 @@ pub fn overdue<'a>(
     actions.filter_map(move |action| {
         let by = action.expected_by_utc.filter(|by| *by < now)?.strftime("%H:%M:%S");
         let ActionNow { row, action, camera, step, .. } = action;
+        let row = row.saturating_add(1);
         let cause = format!("row {row} ({action}): \"{step}\" should have ended by {by} UTC");
         Some((AlertKind::StepOverdue, camera.clone(), cause))
     })
@@ -149,7 +150,7 @@ mod tests {
         assert!(active().is_empty());
         standing.keep(overdue([&action].into_iter(), begun.plus_seconds(301.0)), &alerts);
         let [told] = &active()[..] else { panic!("{:?}", active()) };
-        assert_eq!(told, "step-overdue/cam: row 4 (object): \"slewing\" should have ended by 02:35:00 UTC");
+        assert_eq!(told, "step-overdue/cam: row 5 (object): \"slewing\" should have ended by 02:35:00 UTC");
         action.expected_by_utc = None;
         standing.keep(overdue([&action].into_iter(), begun.plus_seconds(302.0)), &alerts);
         assert!(active().is_empty());

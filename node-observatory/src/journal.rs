@@ -40,6 +40,8 @@ enum JournalLine {
     },
     /// A row ended.
     Ended { at_utc: Utc, row: RowId, status: RowStatus, detail: String },
+    /// Somebody has a row run again: `anew`, so that no frame of before counts, or from where it stopped.
+    Again { at_utc: Utc, row: RowId, anew: bool },
     /// Somebody turned the robotic switch.
     Robotic { at_utc: Utc, on: bool },
 }
@@ -54,6 +56,7 @@ impl JournalLine {
             | Self::Hidden { at_utc, .. }
             | Self::Judged { at_utc, .. }
             | Self::Ended { at_utc, .. }
+            | Self::Again { at_utc, .. }
             | Self::Robotic { at_utc, .. } => *at_utc,
         }
     }
@@ -281,6 +284,16 @@ impl Journal {
         self.send(JournalLine::Ended { at_utc, row: row.clone(), status, detail: detail.to_owned() })
     }
 
+    /// Somebody ends a row: that counts only once it is on disk.
+    pub fn end_by_order(&self, row: &RowId, status: RowStatus, detail: &str, at_utc: Utc) -> io::Result<()> {
+        self.learn_when_written(JournalLine::Ended { at_utc, row: row.clone(), status, detail: detail.to_owned() })
+    }
+
+    /// Somebody has a row run again, `anew` or from where it stopped: that counts only once it is on disk.
+    pub fn again(&self, row: &RowId, anew: bool, at_utc: Utc) -> io::Result<()> {
+        self.learn_when_written(JournalLine::Again { at_utc, row: row.clone(), anew })
+    }
+
     /// The robotic switch was turned off: that counts at once whatever the disk does, and is on disk when
     /// [`Journal::arrive`] returns.
     pub fn robotic_off(&self, at_utc: Utc) -> Sent {
@@ -289,7 +302,10 @@ impl Journal {
 
     /// The robotic switch is turned on: that counts only once it is on disk.
     pub fn robotic_on(&self, at_utc: Utc) -> io::Result<()> {
-        let line = JournalLine::Robotic { at_utc, on: true };
+        self.learn_when_written(JournalLine::Robotic { at_utc, on: true })
+    }
+
+    fn learn_when_written(&self, line: JournalLine) -> io::Result<()> {
         self.put_down(&line)?;
         self.records().learn(&line);
         Ok(())
@@ -408,6 +424,15 @@ impl Records {
             }
             JournalLine::Ended { row, status, detail, .. } => {
                 self.rows.entry(row.clone()).or_default().ended = Some((*status, detail.clone()));
+            }
+            JournalLine::Again { row, anew, .. } => {
+                let record = self.rows.entry(row.clone()).or_default();
+                record.ended = None;
+                if *anew {
+                    record.spoilt.append(&mut record.taken);
+                    record.spoilt.extend(record.open.drain(..).map(|frame| frame.0));
+                    record.judged.clear();
+                }
             }
             JournalLine::Robotic { at_utc, on } => self.robotic = Some((*at_utc, *on)),
         }

@@ -341,3 +341,34 @@ fn an_end_counts_before_it_is_on_disk_and_a_new_lease_meanwhile_does_not_lose_it
     drop(journal);
     assert_eq!(own(&path).progress(&row).ended, Some((RowStatus::Finished, "done".to_owned())));
 }
+
+#[test]
+fn a_row_that_runs_again_counts_from_where_it_stopped_or_anew_also_after_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("j.jsonl");
+    let row = RowId("a".to_owned());
+    let journal = own(&path);
+    let intend = |journal: &Journal| {
+        let intent = journal.intend(&row, at(NOW)).unwrap();
+        journal.sent(&row);
+        intent
+    };
+    let (first, second) = (intend(&journal), intend(&journal));
+    journal.taken(&first.frame, at(NOW)).unwrap();
+    journal.end_by_order(&row, RowStatus::Skipped, "clouds", at(NOW)).unwrap();
+    assert_eq!(journal.progress(&row).ended, Some((RowStatus::Skipped, "clouds".to_owned())));
+    journal.again(&row, false, at(NOW)).unwrap();
+    let expected = Progress { taken: 1, open: vec![second.frame.clone()], ended: None };
+    assert_eq!(journal.progress(&row), expected);
+    assert_eq!(own(&path).progress(&row), expected, "nor after a restart");
+
+    let journal = own(&path);
+    journal.again(&row, true, at(NOW)).unwrap();
+    assert_eq!(journal.progress(&row), Progress::default());
+    for late in [&first, &second] {
+        assert!(!journal.taken(&late.frame, at(NOW)).unwrap(), "a frame of before, announced once more");
+    }
+    assert_eq!(intend(&journal).sequence, 2, "no two frames have one number");
+    drop(journal);
+    assert_eq!(own(&path).progress(&row).taken, 0);
+}

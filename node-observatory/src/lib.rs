@@ -125,6 +125,7 @@ use crate::failover::shared_roof::SharedRoofWatch;
 use crate::failover::takeover::Takeover;
 use crate::frames::Measuring;
 use crate::orders::Telescope;
+use crate::orders::rows::OrderedRows;
 use crate::row_context::RowTools;
 use crate::start::Start;
 use crate::tasks::Tasks;
@@ -153,16 +154,23 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     let schedule = schedule_file::start(&mut tasks, &schedule_file, night);
     let learning = schedule_file.earlier_nights.clone().keep_learning(node.clone(), step_times.clone());
     tasks.spawn("step times", learning);
+    let (row_orders, about_rows) = tokio::sync::mpsc::unbounded_channel();
     let telescope = Telescope {
         authority: authority.clone(),
         devices: devices.clone(),
         journal: journal.clone(),
         orders,
         schedule_file,
+        rows: OrderedRows {
+            journal: journal.clone(),
+            loaded: schedule.clone(),
+            night: night.clone(),
+            runner: row_orders,
+        },
     };
     tasks.spawn("orders", orders::keep_answering(telescope, night.clone()));
     tasks.spawn("names", names::keep_looking_up(node.clone(), names, schedule.clone()));
-    tasks.spawn("runner", runner::keep_observing(tools.clone(), techniques.clone(), schedule));
+    tasks.spawn("runner", runner::keep_observing(tools.clone(), techniques.clone(), schedule, about_rows));
     tasks.spawn("dome slits", slit::keep_following(slits.clone()));
     let measuring = Measuring {
         authority: authority.clone(),

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use contract::device::dome::Shutter;
 use contract::observatory::{
-    ActionNow, NightState, OrderTaken, Posture, RowState, ScheduleState, Trigger, TriggerKind,
+    ActionNow, NightState, OrderTaken, Posture, RowState, RowStatus, ScheduleState, Trigger, TriggerKind,
 };
 use contract::{CommandId, Part};
 use node::StandingAlerts;
@@ -114,6 +114,13 @@ impl PublishedNight {
     /// Changes the published state of the schedule.
     pub fn schedule(&self, change: impl FnOnce(&mut ScheduleState)) {
         self.schedule.send_modify(change);
+    }
+
+    /// The schedule whose rows are shown, by the SHA-256 of its text, and how far the row at a place of it is.
+    pub fn shown(&self, row: u32) -> (Option<String>, Option<RowStatus>) {
+        let schedule = self.schedule.borrow();
+        let state = usize::try_from(row).ok().and_then(|index| schedule.rows.get(index));
+        (schedule.sha256.clone(), state.map(|state| state.status))
     }
 
     /// Shows why the newest schedule was not taken, or that it was.

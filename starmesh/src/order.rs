@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{anyhow, bail};
-use clap::{Arg, ArgMatches, Args, FromArgMatches, Subcommand};
+use clap::{Arg, ArgMatches, Args, FromArgMatches, Subcommand, value_parser};
 use contract::command::operator;
 use contract::observatory::OperatorOrders;
 use contract::order_form::{ORDERS, OrderForm, OrderParameter, ParameterValue, check_reason};
@@ -53,6 +53,9 @@ fn argument(parameter: &'static OrderParameter) -> Arg {
     let argument = Arg::new(parameter.name).value_name(parameter.name.to_uppercase()).help(parameter.meaning);
     match parameter.value {
         ParameterValue::Text | ParameterValue::Document => argument.required(true),
+        ParameterValue::Whole { min, max } => {
+            argument.required(true).value_parser(value_parser!(u32).range(i64::from(min)..=i64::from(max)))
+        }
         ParameterValue::OptionalText => argument.long(parameter.name.replace('_', "-")),
         ParameterValue::Number { min, max, default } => {
             let value = move |text: &str| match text.parse::<f64>() {
@@ -101,6 +104,7 @@ impl FromArgMatches for OrderCommand {
             ParameterValue::Text | ParameterValue::OptionalText | ParameterValue::Document => {
                 matches.get_one::<String>(parameter.name).map(|text| json!(text))
             }
+            ParameterValue::Whole { .. } => matches.get_one::<u32>(parameter.name).map(|number| json!(number)),
             ParameterValue::Number { .. } => matches.get_one::<f64>(parameter.name).map(|number| json!(number)),
         };
         let given = form.parameters.iter().filter_map(|parameter| Some((parameter.name.to_owned(), value(parameter)?)));

@@ -164,7 +164,7 @@ fn row_lines(schedule: &ScheduleState) -> Vec<String> {
     cells.extend(schedule.rows.iter().map(|row| {
         let wanted = row.frames_wanted.map(|wanted| format!("/{wanted}")).unwrap_or_default();
         vec![
-            row.row.to_string(),
+            row.row.saturating_add(1).to_string(),
             status_word(row.status).to_owned(),
             row.action.clone(),
             row.object.clone().unwrap_or_default(),

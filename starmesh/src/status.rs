@@ -368,7 +368,7 @@ mod tests {
         let lines = shown(NIGHT, UNSAFE, ROW).lines(&address, &[], &[]);
         assert!(lines[0].contains("UNSAFE   CLOSED    ROBOTIC  simulated x60"), "{lines:#?}");
         assert!(
-            lines[0].ends_with("row 2, object M42 waits for a safe sky: wx/Humidity: 91 is above 80"),
+            lines[0].ends_with("row 3, object M42 waits for a safe sky: wx/Humidity: 91 is above 80"),
             "{lines:#?}"
         );
         assert_eq!(lines[1], "    not safe: wx/Humidity: 91 is above 80; when it clears cannot be known");

@@ -217,9 +217,22 @@ impl OrderKind {
             | Self::PutSchedule { .. }
             | Self::Cool { .. }
             | Self::Warm(_)
-            | Self::CompleteHeaders { .. } => false,
+            | Self::CompleteHeaders { .. }
+            | Self::Skip(_)
+            | Self::Repeat(_) => false,
         }
     }
+}
+
+/// A row of the schedule that an order is about.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct OrderedRow {
+    /// Its place, as the state of the schedule numbers rows: from 0.
+    pub row: u32,
+    /// SHA-256 of the schedule that it stands in, as lower-case hex: where another one is in force, the order is refused as
+    /// `wrong_state`. The one in force where this is absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub of: Option<String>,
 }
 
 /// What a person may order.
@@ -277,4 +290,9 @@ pub enum OrderKind {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         night: Option<String>,
     },
+    /// Does without a row that has not ended; one at work ends with the frame under way.
+    Skip(OrderedRow),
+    /// Runs a row again within its window: one that has finished from its first frame, one that failed or was skipped from
+    /// where it stopped, one that rests now.
+    Repeat(OrderedRow),
 }

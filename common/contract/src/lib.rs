@@ -44,7 +44,7 @@ pub mod table;
 mod table_macro;
 
 pub use address::{Address, BadKey, Chunk, Device, Name, Role};
-pub use command::{Accepted, Command, CommandId, Order, OrderKind, Reason, Refusal, Reply};
+pub use command::{Accepted, Command, CommandId, Order, OrderKind, OrderedRow, Reason, Refusal, Reply};
 pub use datum::{Datum, NoData, Reading, Scalar};
 pub use device::{CommandOutcome, DeviceKind, DeviceState, Kind, LastCommand, Link};
 pub use keys::{EVERYTHING, Keys};

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::OrderKind;
+use crate::{OrderKind, OrderedRow};
 
 /// The longest reason, characters: a line of the log has to hold it.
 pub const LONGEST_REASON: usize = 500;
@@ -86,6 +86,13 @@ pub enum ParameterValue {
     OptionalText,
     /// A whole document of many lines, which must be given.
     Document,
+    /// A whole number in a range, which must be given.
+    Whole {
+        /// The smallest.
+        min: u32,
+        /// The largest.
+        max: u32,
+    },
     /// A number in a range.
     Number {
         /// The smallest.
@@ -100,7 +107,7 @@ pub enum ParameterValue {
 impl ParameterValue {
     /// Must it be given?
     pub const fn is_required(self) -> bool {
-        matches!(self, Self::Text | Self::Document)
+        matches!(self, Self::Text | Self::Document | Self::Whole { .. })
     }
 }
 
@@ -120,6 +127,12 @@ impl Given {
         self.0.get(name).and_then(Value::as_f64)
     }
 
+    /// The row that is named as people count them, from 1.
+    fn row(&self) -> OrderedRow {
+        let number = self.0.get("number").and_then(Value::as_u64).and_then(|number| u32::try_from(number).ok());
+        OrderedRow { row: number.unwrap_or_default().saturating_sub(1), of: self.optional("of") }
+    }
+
     /// A time given in minutes, s.
     fn minutes_s(&self, name: &str) -> f64 {
         self.number(name).unwrap_or_default() * 60.0
@@ -133,6 +146,20 @@ const ALERT: OrderParameter = OrderParameter {
 };
 const CAMERA: OrderParameter =
     OrderParameter { name: "camera", meaning: "Name of the camera.", value: ParameterValue::Text };
+/// A schedule by order has at most 1,000,000 bytes, and so fewer rows.
+const ROW: &[OrderParameter] = &[
+    OrderParameter {
+        name: "number",
+        meaning: "Number of the row as the page and `starmesh schedule rows` show it: the first is 1.",
+        value: ParameterValue::Whole { min: 1, max: 1_000_000 },
+    },
+    OrderParameter {
+        name: "of",
+        meaning: "SHA-256 of the schedule that the row stands in, in hexadecimal digits: where another one is in force, the order \
+                  is refused. The one in force where it is absent.",
+        value: ParameterValue::OptionalText,
+    },
+];
 const INPUT: OrderParameter = OrderParameter {
     name: "input",
     meaning: "The input as `starmesh status` and the page name it, such as wx/Humidity or sun.",
@@ -226,6 +253,25 @@ pub const ORDERS: &[OrderForm] = &[
         ..plain("unshelve", "Send a shelved alert again.", Right::Operator, |given| {
             OrderKind::Unshelve(given.text("alert"))
         })
+    },
+    OrderForm {
+        parameters: ROW,
+        ..plain(
+            "skip",
+            "Do without a row of tonight that has not ended; one at work ends with the frame under way.",
+            Right::Operator,
+            |given| OrderKind::Skip(given.row()),
+        )
+    },
+    OrderForm {
+        parameters: ROW,
+        ..plain(
+            "repeat",
+            "Run a row again within its window: one that has finished from its first frame, one that failed or was skipped from \
+             where it stopped, one that rests now.",
+            Right::Operator,
+            |given| OrderKind::Repeat(given.row()),
+        )
     },
     OrderForm {
         parameters: &[
@@ -366,8 +412,16 @@ impl OrderForm {
                 }
                 (ParameterValue::OptionalText, Some(Value::String(text))) => Some(Value::String(text)),
                 (ParameterValue::OptionalText, None) => None,
-                (ParameterValue::Text | ParameterValue::Document, None | Some(Value::String(_))) => {
+                (ParameterValue::Text | ParameterValue::Document, None | Some(Value::String(_)))
+                | (ParameterValue::Whole { .. }, None) => {
                     return Err(wrong(name, format!("it is missing. {meaning}")));
+                }
+                (ParameterValue::Whole { min, max }, Some(found)) => {
+                    let number = found.as_u64().filter(|number| (u64::from(*min)..=u64::from(*max)).contains(number));
+                    if number.is_none() {
+                        return Err(wrong(name, format!("expected a whole number from {min} to {max}, got {found}")));
+                    }
+                    Some(found)
                 }
                 (ParameterValue::Number { min, max, .. }, Some(Value::Number(number)))
                     if number.as_f64().is_some_and(|number| (*min..=*max).contains(&number)) =>
@@ -397,6 +451,7 @@ impl OrderForm {
             let mut schema = match parameter.value {
                 ParameterValue::Text | ParameterValue::Document => json!({ "type": "string", "minLength": 1 }),
                 ParameterValue::OptionalText => json!({ "type": "string" }),
+                ParameterValue::Whole { min, max } => json!({ "type": "integer", "minimum": min, "maximum": max }),
                 ParameterValue::Number { min, max, default: Some(default) } => {
                     json!({ "type": "number", "minimum": min, "maximum": max, "default": default })
                 }
@@ -437,6 +492,11 @@ mod tests {
         let cool = |set_c| Ok(OrderKind::Cool { camera: "c".to_owned(), set_c });
         assert_eq!(fill("cool", json!({"camera": "c"}), ""), cool(None));
         assert_eq!(fill("cool", json!({"camera": "c", "temperature_c": -60.5}), ""), cool(Some(-60.5)));
+        // People count rows from 1, the bus from 0.
+        let of = Some("abc".to_owned());
+        assert_eq!(fill("skip", json!({"number": 4}), ""), Ok(OrderKind::Skip(OrderedRow { row: 3, of: None })));
+        let again = fill("repeat", json!({"number": 1, "of": "abc"}), "");
+        assert_eq!(again, Ok(OrderKind::Repeat(OrderedRow { row: 0, of })));
     }
 
     #[test]
@@ -451,6 +511,10 @@ mod tests {
             ("override", json!({"input": "sun", "minutes": 481}), "x", "expected a number from 1 to 480, got 481"),
             ("override", json!({"input": "sun", "minutes": "60"}), "x", "expected a number from 1 to 480"),
             ("override", json!({"input": "sun", "minutes": 0}), "x", "expected a number from 1"),
+            ("skip", json!({}), "", "number: it is missing. Number of the row as the page"),
+            ("skip", json!({"number": 0}), "", "number: expected a whole number from 1 to 1000000, got 0"),
+            ("repeat", json!({"number": 2.5}), "", "expected a whole number from 1 to 1000000, got 2.5"),
+            ("repeat", json!({"number": "2"}), "", "expected a whole number from 1 to 1000000, got \"2\""),
             ("close", json!({}), &"\u{e9}".repeat(501), "reason: expected at most 500 characters, got 501"),
         ] {
             let error = fill(word, given.clone(), reason).unwrap_err();
@@ -460,7 +524,8 @@ mod tests {
 
     #[test]
     fn every_order_of_the_bus_has_a_form_and_closing_needs_the_least_right_that_orders() {
-        let given = json!({"input": "sun", "alert": "a/b", "camera": "c", "text": "{}", "night": "20261121"});
+        let given =
+            json!({"input": "sun", "alert": "a/b", "camera": "c", "text": "{}", "night": "20261121", "number": 2});
         let made: Vec<OrderKind> = ORDERS
             .iter()
             .map(|form| {
@@ -483,6 +548,8 @@ mod tests {
                 | OrderKind::PutSchedule { .. }
                 | OrderKind::Cool { .. }
                 | OrderKind::CompleteHeaders { .. }
+                | OrderKind::Skip(_)
+                | OrderKind::Repeat(_)
                 | OrderKind::Warm(_) => true,
             };
             assert!(is_made, "{kind:?}");

@@ -104,7 +104,7 @@ impl Seen<'_> {
     /// Why a row that is next does not run.
     fn waiting(&self, row: &RowState) -> String {
         let object = row.object.as_ref().map(|object| format!(" {object}")).unwrap_or_default();
-        let what = format!("row {}, {}{object}", row.row, row.action);
+        let what = format!("row {}, {}{object}", row.row.saturating_add(1), row.action);
         if let Some(now) = self.now.filter(|now| row.start_utc > *now) {
             let left = length(row.start_utc.seconds_since(now));
             return format!("waits for {what}, which starts at {} (in {left})", row.start_utc.to_second());
@@ -179,40 +179,40 @@ mod tests {
         let due = [row(BEFORE, "pending", "")];
         for (text, night, safety, rows) in [
             (
-                "waits for row 2, object M42, which starts at 2026-11-21 02:30:00 UTC (in 30 min)",
+                "waits for row 3, object M42, which starts at 2026-11-21 02:30:00 UTC (in 30 min)",
                 night(true),
                 safe(),
                 vec![row(LATER, "pending", "")],
             ),
             ("waits for a person: starmesh order paranal/io start", night(false), safe(), due.to_vec()),
             (
-                "row 2, object M42 waits for a safe sky: wx/RainRate: 2 is above 0",
+                "row 3, object M42 waits for a safe sky: wx/RainRate: 2 is above 0",
                 night(true),
                 verdict("unsafe", rain, json!([])),
                 due.to_vec(),
             ),
             (
-                "row 2, object M42 waits until the sky may be exposed: wx/Humidity: 80 is above 75",
+                "row 3, object M42 waits until the sky may be exposed: wx/Humidity: 80 is above 75",
                 night(true),
                 verdict("safe", json!([]), humid.clone()),
                 due.to_vec(),
             ),
-            ("about to begin row 2, object M42", night(true), safe(), due.to_vec()),
+            ("about to begin row 3, object M42", night(true), safe(), due.to_vec()),
             (
-                "row 2, object M42 waits: tried again at 02:10:00",
+                "row 3, object M42 waits: tried again at 02:10:00",
                 night(true),
                 safe(),
                 vec![row(BEFORE, "interrupted", "tried again at 02:10:00")],
             ),
             // It rained; now it is humid, and then nothing stands against the row any more.
             (
-                "row 2, object M42 waits until the sky may be exposed: wx/Humidity: 80 is above 75",
+                "row 3, object M42 waits until the sky may be exposed: wx/Humidity: 80 is above 75",
                 night(true),
                 verdict("safe", json!([]), humid),
                 vec![row(BEFORE, "interrupted", "not safe: wx/RainRate: 2 is above 0")],
             ),
             (
-                "about to begin row 2, object M42",
+                "about to begin row 3, object M42",
                 night(true),
                 safe(),
                 vec![row(BEFORE, "interrupted", "not safe: wx/RainRate: 2 is above 0")],

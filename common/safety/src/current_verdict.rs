@@ -18,6 +18,8 @@ pub struct CurrentVerdict {
     /// False for the first seconds of a node that has not received all of its inputs yet: nobody acts on the verdict
     /// then, so that a restart in a safe night does not shut the roof. A bad input ends this at once.
     pub settled: bool,
+    /// The clock may be ahead by so much, s: what has surely passed passed before that.
+    pub ahead_s: f64,
 }
 
 /// A loop that judges every second is dead or starved when its verdict is older than this.
@@ -37,7 +39,7 @@ impl CurrentVerdict {
             avoid: Vec::new(),
             intervals: Vec::new(),
         };
-        Self { state, judged: now, settled: false }
+        Self { state, judged: now, settled: false, ahead_s: 0.0 }
     }
 
     /// Takes in a new judgement, given now; once `settled` it stays so.

@@ -81,7 +81,10 @@ fn loosens(kind: &OrderKind) -> bool {
         | OrderKind::Unshelve(_)
         | OrderKind::Cool { .. }
         | OrderKind::Warm(_)
-        | OrderKind::CompleteHeaders { .. } => false,
+        | OrderKind::CompleteHeaders { .. }
+        // A row opens nothing that the schedule may not open.
+        | OrderKind::Skip(_)
+        | OrderKind::Repeat(_) => false,
     }
 }
 

@@ -90,6 +90,14 @@ impl Sequence {
         each.filter(|(_, (row, status))| waits(**status) && row.end < now).map(|(index, _)| index).collect()
     }
 
+    /// Rows that were skipped although their window has not passed, but for those that were `ended` in another way.
+    pub fn skipped_before(&self, now: Utc, ended: impl Fn(&RowId) -> bool) -> Vec<usize> {
+        let each = self.rows.iter().zip(&self.statuses).enumerate();
+        let early =
+            each.filter(|(_, (row, status))| **status == RowStatus::Skipped && row.end >= now && !ended(&row.id));
+        early.map(|(index, _)| index).collect()
+    }
+
     /// Interrupted rows that nothing stands against any more: the reason of their interruption has gone.
     pub fn released(&self, stands_against: impl Fn(&Row) -> bool) -> Vec<usize> {
         let each = self.rows.iter().zip(&self.statuses).enumerate();

@@ -310,3 +310,26 @@ fn the_reason_of_an_interruption_goes_when_nothing_stands_against_its_row_any_mo
     assert_eq!(night.sequence.released(|row| row.id == first), [0; 0], "it rains still");
     assert_eq!(night.sequence.released(|_| false), [0]);
 }
+
+#[test]
+fn rows_that_were_skipped_while_the_clock_was_ahead_wait_again_and_those_that_ended_otherwise_do_not() {
+    let line = |object: &str, start: &str, end: &str| {
+        format!(
+            "{{\"device_name\": \"c\", \"action_type\": \"object\", \"start_time\": \"2026-11-21T{start}:00\", \
+             \"end_time\": \"2026-11-21T{end}:00\", \"action_value\": {{\"object\": \"{object}\", \"exptime\": 1, \"ra\": 1, \"dec\": 1}}}}\n"
+        )
+    };
+    let text = [line("a", "01:00", "02:00"), line("b", "03:00", "04:00"), line("c", "03:30", "05:00")].concat();
+    let rows = parse(&text, &["c".parse().unwrap()]).unwrap();
+    let by_order = rows[2].id.clone();
+    let mut sequence = Sequence::default();
+    sequence.take(Arc::new(rows), |_| None);
+    let at = |text: &str| -> Utc { format!("2026-11-21T{text}:00Z").parse().unwrap() };
+    for index in sequence.passed(at("06:00")) {
+        sequence.set(index, RowStatus::Skipped);
+    }
+    assert!(sequence.is_over());
+    assert_eq!(sequence.skipped_before(at("03:10"), |id| *id == by_order), [1], "a has passed, and c was ordered");
+    sequence.set(1, RowStatus::Pending);
+    assert_eq!(sequence.next(at("03:10"), |_, _| true), Some(1));
+}

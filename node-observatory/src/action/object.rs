@@ -82,7 +82,7 @@ impl Execute for Object {
             (Some((mount, way)), None) => proven(self, context, techniques, mount, &series, way, &mut report).await?,
             (None, _) => {
                 expose_in_focus(context, &techniques.focus, &series, |taken, now| {
-                    self.shot(taken, now, context.row.end)
+                    self.shot(taken, context.tools.authority.surely(now), context.row.end)
                 })
                 .await?
             }
@@ -154,7 +154,7 @@ async fn along(
         mount,
         (body, &request),
         series,
-        |taken, now, end| object.shot(taken, now, end),
+        |taken, now, end| object.shot(taken, context.tools.authority.surely(now), end),
     )
     .await
 }
@@ -194,7 +194,7 @@ async fn proven(
         let next = |taken, now| match gate.lost() {
             Some(_) => None,
             None if flip.is_due(&target, object.exptime, now) => None,
-            None => object.shot(taken, now, end),
+            None => object.shot(taken, context.tools.authority.surely(now), end),
         };
         let guided = match object.guiding {
             true => Some(guiding::begin(context, &techniques.guiding, guide_on(object, Some(way.target))).await?),
@@ -212,7 +212,7 @@ async fn proven(
         report.extend(guided.map(|guided| guided.summary()));
         let taken = context.tools.journal.progress(&context.row.id).taken;
         let (lost, now) = (gate.lost().map(str::to_owned), context.clock().utc());
-        if object.shot(taken, now, end).is_none() {
+        if object.shot(taken, context.tools.authority.surely(now), end).is_none() {
             return Ok(taken);
         }
         if flip.is_due(&target, object.exptime, now) {

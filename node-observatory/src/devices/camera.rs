@@ -25,6 +25,9 @@ const READOUT: Duration = Duration::from_secs(120);
 /// for that command.
 const COOLER: Duration = Duration::from_secs(60);
 
+/// A cooler with no more power than this, percent, has nothing to do.
+const IDLE_PERCENT: f64 = 1.0;
+
 impl Camera {
     /// Subscribes to a camera.
     pub async fn listen(
@@ -54,8 +57,7 @@ impl Camera {
         let minutes = self.config.cooling_timeout_min;
         let most = command_timeout(self.instrument.clock(), seconds(minutes * 60.0));
         let cold = |received: &bus::Received<contract::DeviceState<camera::Fields>>| {
-            let sensor_c = received.sample.body.fields.ccd_c.known()?;
-            ((sensor_c - set_c).abs() <= tolerance_k).then_some(())
+            is_cold(&received.sample.body.fields, set_c, tolerance_k).then_some(())
         };
         self.instrument.until(most, "cold", cold).await.map_err(|_| ActionError::Cooling {
             device: self.instrument.device.to_string(),
@@ -117,6 +119,13 @@ fn cools_already(fields: &camera::Fields, set_c: f64, tolerance_k: f64) -> bool 
     near(fields.set_c.known()) && (runs == Some(true) || (runs.is_none() && near(fields.ccd_c.known())))
 }
 
+/// Is the sensor at its set point, or colder while its cooler, which cannot heat, has nothing to do?
+fn is_cold(fields: &camera::Fields, set_c: f64, tolerance_k: f64) -> bool {
+    let idles = fields.cooler_on.known() == Some(&true)
+        && fields.cooler_percent.known().is_some_and(|percent| *percent <= IDLE_PERCENT);
+    fields.ccd_c.known().is_some_and(|sensor_c| (sensor_c - set_c).abs() <= tolerance_k || (*sensor_c < set_c && idles))
+}
+
 /// Flats with exposures within what the camera reports.
 fn within_limits(flats: config::Flats, can: &camera::Capabilities) -> Result<config::Flats, String> {
     let (low, high) = (flats.exposure_min_s, flats.exposure_max_s);
@@ -165,13 +174,14 @@ mod tests {
 
     use super::*;
 
+    fn fields(set: Option<f64>, sensor: Option<f64>, runs: Option<bool>) -> camera::Fields {
+        let celsius = |c: Option<f64>| c.map_or_else(Datum::default, Datum::Known);
+        let cooler_on = runs.map_or_else(Datum::default, Datum::Known);
+        camera::Fields { set_c: celsius(set), ccd_c: celsius(sensor), cooler_on, ..Default::default() }
+    }
+
     #[test]
     fn a_cooler_that_does_not_report_whether_it_runs_is_judged_by_the_sensor() {
-        let fields = |set: Option<f64>, sensor: Option<f64>, runs: Option<bool>| {
-            let celsius = |c: Option<f64>| c.map_or_else(Datum::default, Datum::Known);
-            let cooler_on = runs.map_or_else(Datum::default, Datum::Known);
-            camera::Fields { set_c: celsius(set), ccd_c: celsius(sensor), cooler_on, ..Default::default() }
-        };
         let rows = [
             (Some(-20.0), Some(15.0), Some(true), true),
             // The camera rounds set points to half a degree.
@@ -187,6 +197,24 @@ mod tests {
         }
         let words = cooler(&fields(Some(-20.0), Some(15.0), Some(false)));
         assert_eq!(words, "15.0 C, set point -20.0 C, CoolerOn is false");
+    }
+
+    #[test]
+    fn a_sensor_that_is_colder_than_its_set_point_is_cold_once_its_cooler_has_nothing_to_do() {
+        for (sensor, runs, percent, expected) in [
+            (-10.4, Some(true), Some(40.0), true),
+            (-18.0, Some(true), Some(0.0), true),
+            // It drifts towards a set point that was raised.
+            (-18.0, Some(true), Some(15.0), false),
+            (-18.0, Some(false), Some(0.0), false),
+            (-18.0, Some(true), None, false),
+            (-5.0, Some(true), Some(0.0), false),
+            (f64::NAN, Some(true), Some(0.0), false),
+        ] {
+            let mut fields = fields(Some(-10.0), Some(sensor), runs);
+            fields.cooler_percent = percent.map_or_else(Datum::default, Datum::Known);
+            assert_eq!(is_cold(&fields, -10.0, 0.5), expected, "{sensor} {runs:?} {percent:?}");
+        }
     }
 
     #[test]

@@ -325,7 +325,7 @@ fn unmeasured(context: &RowContext, why: &str) -> Result<ActionError, ActionErro
 }
 
 fn none(context: &RowContext) -> ActionError {
-    ActionError::Impossible(format!("row {} has no such filter", context.index))
+    ActionError::Impossible(format!("row {} has no such filter", context.index.saturating_add(1)))
 }
 
 #[cfg(test)]

@@ -20,6 +20,7 @@ use crate::authority::Authority;
 use crate::devices::Devices;
 use crate::failover::operator_orders;
 use crate::journal::Journal;
+use crate::orders::rows::OrderedRows;
 use crate::persisted::Unchanged;
 use crate::robotic;
 use crate::schedule_file::versions::Author;
@@ -43,6 +44,8 @@ pub struct Telescope {
     pub orders: Arc<OrderState>,
     /// The schedule file.
     pub schedule_file: Arc<ScheduleFile>,
+    /// The rows of the schedule in force.
+    pub rows: OrderedRows,
 }
 
 /// Counts the orders that closed or made something stricter: what was ordered before and is still being written must
@@ -112,7 +115,9 @@ pub fn at_once(telescope: &Telescope, tightened: &Tightened, order: &Order) -> R
         | OrderKind::PutSchedule { .. }
         | OrderKind::Cool { .. }
         | OrderKind::Warm(_)
-        | OrderKind::CompleteHeaders { .. } => {}
+        | OrderKind::CompleteHeaders { .. }
+        | OrderKind::Skip(_)
+        | OrderKind::Repeat(_) => {}
     }
     accept(&order.id)
 }
@@ -180,6 +185,8 @@ pub async fn when_written(telescope: &Telescope, tightened: &Tightened, order: &
             ))),
             Some(Ok(_)) | None => Ok(()),
         },
+        OrderKind::Skip(row) => telescope.rows.skip(row, order, ordered_by.at_utc).await,
+        OrderKind::Repeat(row) => telescope.rows.repeat(row, order, ordered_by.at_utc).await,
         OrderKind::Close | OrderKind::ReloadSchedule => Ok(()),
     };
     match done {

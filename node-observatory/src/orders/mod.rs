@@ -2,6 +2,7 @@
 
 mod answering;
 mod execution;
+pub mod rows;
 
 pub use self::answering::keep_answering;
 pub use self::execution::Telescope;

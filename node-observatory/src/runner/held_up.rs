@@ -69,15 +69,20 @@ impl HeldUp {
         match rows.as_slice() {
             [] => alerts.clear(self.alert, instance),
             [only] => {
-                alerts.raise(self.alert, instance, &format!("row {}: {}", only.number, only.detail));
+                alerts.raise(self.alert, instance, &format!("{}: {}", told(only.number), only.detail));
             }
             [first, ..] => {
-                let (count, number, detail) = (rows.len(), first.number, &first.detail);
-                let cause = format!("{count} rows {}; the first of them, row {number}: {detail}", self.they);
+                let (count, first, detail) = (rows.len(), told(first.number), &first.detail);
+                let cause = format!("{count} rows {}; the first of them, {first}: {detail}", self.they);
                 alerts.raise(self.alert, instance, &cause);
             }
         }
     }
+}
+
+/// As people count rows: the first is 1.
+fn told(number: u32) -> String {
+    format!("row {}", number.saturating_add(1))
 }
 
 #[cfg(test)]
@@ -100,12 +105,12 @@ mod tests {
         postponed.add(&row(200), 200, Some(Kind::Dome), "the dome does not turn", &alerts);
         let [(camera, cause), (dome, _)] = &active()[..] else { panic!("{:?}", active()) };
         assert_eq!((camera.as_str(), dome.as_str()), ("row-postponed/camera", "row-postponed/dome"));
-        assert_eq!(cause, "100 rows rest; the first of them, row 1: the camera hangs");
+        assert_eq!(cause, "100 rows rest; the first of them, row 2: the camera hangs");
         // One goes on, one now waits for another device, and a new schedule has only two of them.
         postponed.remove(&row(1), &alerts);
         postponed.add(&row(200), 200, Some(Kind::Camera), "the camera hangs", &alerts);
         postponed.keep_only(|id| [row(7), row(8)].contains(id), &alerts);
-        assert!(active().iter().any(|(_, cause)| cause == "2 rows rest; the first of them, row 7: the camera hangs"));
+        assert!(active().iter().any(|(_, cause)| cause == "2 rows rest; the first of them, row 8: the camera hangs"));
         postponed.remove(&row(7), &alerts);
         postponed.remove(&row(8), &alerts);
         alerts.watch();
@@ -125,11 +130,11 @@ mod tests {
         failed.add(&row(1), 1, None, "focus position 60000 is outside the focuser's 0 to 50000", &alerts);
         let [(id, cause)] = &active()[..] else { panic!("{:?}", active()) };
         assert_eq!(id, "row-failed/other");
-        assert_eq!(cause, "row 1: focus position 60000 is outside the focuser's 0 to 50000");
+        assert_eq!(cause, "row 2: focus position 60000 is outside the focuser's 0 to 50000");
         failed.add(&row(2), 2, None, "the camera takes no such exposure", &alerts);
-        assert!(active()[0].1.starts_with("2 rows have failed; the first of them, row 1: "), "{:?}", active());
+        assert!(active()[0].1.starts_with("2 rows have failed; the first of them, row 2: "), "{:?}", active());
         failed.keep_only(|id| *id == row(2), &alerts);
-        assert_eq!(active()[0].1, "row 2: the camera takes no such exposure");
+        assert_eq!(active()[0].1, "row 3: the camera takes no such exposure");
         failed.remove(&row(2), &alerts);
         assert!(active().is_empty());
     }

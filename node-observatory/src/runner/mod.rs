@@ -14,7 +14,7 @@ use safety::objection::Objection;
 use schedule::rests::Rests;
 use schedule::sequence::{Sequence, passed_words};
 use schedule::{Row, RowId};
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use units::{Utc, seconds};
 
@@ -22,6 +22,7 @@ use self::held_up::HeldUp;
 use self::one_row::{RowEnd, run_row};
 use crate::action::Techniques;
 use crate::journal::Journal;
+use crate::orders::rows::{RowChange, RowOrder};
 use crate::row_context::{RowContext, RowTools};
 use crate::schedule_file::Loaded;
 
@@ -61,6 +62,8 @@ struct Begun {
     number: u32,
     /// Signals that the schedule has it no longer.
     withdrawn: watch::Sender<bool>,
+    /// Why it is skipped, where somebody has ordered that.
+    skipped: Option<String>,
 }
 
 /// Announced frames of before a restart arrive within this time, and are then not taken again.
@@ -71,6 +74,7 @@ pub async fn keep_observing(
     tools: Arc<RowTools>,
     techniques: Arc<Techniques>,
     mut loaded: watch::Receiver<Loaded>,
+    mut ordered: mpsc::UnboundedReceiver<RowOrder>,
 ) -> anyhow::Result<()> {
     tokio::time::sleep(CATCH_UP).await;
     let authority = &tools.authority;
@@ -107,6 +111,7 @@ pub async fn keep_observing(
                 let (id, end) = done?;
                 runner.note_end(&id, end);
             }
+            Some(order) = ordered.recv() => runner.follow(order),
             _ = verdict.changed() => {}
             _ = hold.changed() => {}
             _ = robotic.changed() => {}
@@ -153,7 +158,7 @@ impl Runner {
         self.postponed.keep_only(|id| self.sequence.place_of(id).is_some(), alerts);
         self.failed.keep_only(|id| self.sequence.place_of(id).is_some(), alerts);
         for (id, begun) in &self.begun {
-            let leaves = leaving.contains(id);
+            let leaves = leaving.contains(id) || begun.skipped.is_some();
             if begun.withdrawn.send_replace(leaves) != leaves && leaves {
                 let (action, object) = (begun.row.action.name(), begun.row.action.object());
                 tracing::info!(action, object, "the schedule has this row no longer; it ends");
@@ -164,9 +169,41 @@ impl Runner {
         }
     }
 
-    /// Marks rows whose window has passed.
+    /// Follows an order about a row; the journal has it already.
+    fn follow(&mut self, RowOrder { row: id, does }: RowOrder) {
+        let alerts = &self.tools.authority.node.alerts;
+        match (does, self.begun.get_mut(&id), self.sequence.place_of(&id)) {
+            (RowChange::Skip(why), Some(begun), _) => {
+                begun.skipped = Some(why);
+                begun.withdrawn.send_replace(true);
+            }
+            (RowChange::Skip(why), None, Some(index)) => {
+                self.postponed.remove(&id, alerts);
+                self.sequence.set(index, RowStatus::Skipped);
+                self.show(index, RowStatus::Skipped, why);
+            }
+            (RowChange::Repeat(why), None, Some(index)) => {
+                self.rests.keep(|rests| *rests != id);
+                self.postponed.remove(&id, alerts);
+                self.failed.remove(&id, alerts);
+                self.sequence.set(index, RowStatus::Pending);
+                self.show(index, RowStatus::Pending, why);
+                let taken = self.tools.journal.progress(&id).taken;
+                self.tools.night.at(number(index), |row| row.frames = taken);
+            }
+            // It began again meanwhile, or the schedule has it no longer.
+            (RowChange::Repeat(_), Some(_), _) | (_, None, None) => {}
+        }
+    }
+
+    /// Marks rows whose window has passed, and takes that back where the clock was ahead.
     fn skip_passed(&mut self) {
-        let now = self.tools.authority.node.bus.clock().utc();
+        let now = self.tools.authority.surely(self.tools.authority.node.bus.clock().utc());
+        // Only an order is in the journal, and stands.
+        for index in self.sequence.skipped_before(now, |id| self.tools.journal.progress(id).ended.is_some()) {
+            self.sequence.set(index, RowStatus::Pending);
+            self.show(index, RowStatus::Pending, String::new());
+        }
         for index in self.sequence.passed(now) {
             let (Some(row), Some(status)) = (self.sequence.rows().get(index), self.sequence.statuses().get(index))
             else {
@@ -209,7 +246,7 @@ impl Runner {
             expected_by_utc: None,
         });
         let (withdrawn, withdrawal) = watch::channel(false);
-        self.begun.insert(row.id.clone(), Begun { row: row.clone(), number, withdrawn });
+        self.begun.insert(row.id.clone(), Begun { row: row.clone(), number, withdrawn, skipped: None });
         let (context, techniques) = (RowContext::new(self.tools.clone(), row, number), self.techniques.clone());
         self.at_work.spawn(async move { (context.row.id.clone(), run_row(&context, &techniques, withdrawal).await) });
         true
@@ -226,7 +263,7 @@ impl Runner {
     }
 
     fn note_end(&mut self, id: &RowId, end: RowEnd) {
-        let Some(Begun { row, number, .. }) = self.begun.remove(id) else { return };
+        let Some(Begun { row, number, skipped, .. }) = self.begun.remove(id) else { return };
         if end == RowEnd::Interrupted(Objection::NotRobotic) {
             // An opening that was under way may have taken the close request back in the very moment.
             let why = || Some("the robotic switch is off".to_owned());
@@ -235,11 +272,12 @@ impl Runner {
                 .close_request
                 .send_if_modified(|request| request.is_none() && std::mem::replace(request, why()).is_none());
         }
-        if !matches!(end, RowEnd::Postponed { .. }) {
+        if skipped.is_some() || !matches!(end, RowEnd::Postponed { .. }) {
             self.postponed.remove(id, &self.tools.authority.node.alerts);
         }
         let (status, detail) = match end {
             RowEnd::Finished(detail) => (RowStatus::Finished, detail),
+            _ if let Some(why) = skipped => (RowStatus::Skipped, why),
             RowEnd::Failed(detail, kind) => {
                 self.failed.add(id, number, kind, &detail, &self.tools.authority.node.alerts);
                 (RowStatus::Failed, detail)

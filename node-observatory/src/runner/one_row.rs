@@ -2,6 +2,7 @@
 
 use std::future::poll_fn;
 use std::task::Poll;
+use std::time::Duration;
 
 use config::FaultPolicy;
 use contract::Kind;
@@ -56,7 +57,7 @@ pub async fn run_row(context: &RowContext, techniques: &Techniques, withdrawn: w
                 // Its frames are taken, so it is finished whatever the mount does, and whatever stands against it now.
                 tokio::select! {
                     biased;
-                    _ = context.tools.authority.objected(&context.row) => {}
+                    () = closes(context) => {}
                     () = context.rest_mount() => {}
                 }
                 return RowEnd::Finished(detail);
@@ -64,7 +65,7 @@ pub async fn run_row(context: &RowContext, techniques: &Techniques, withdrawn: w
             Ok(Err(error)) => error,
             Err(end) => {
                 action::settle(context).await;
-                if end == RowEnd::Withdrawn {
+                if matches!(end, RowEnd::Withdrawn | RowEnd::Interrupted(Objection::Suspended(_))) {
                     rest(context).await;
                 }
                 return end;
@@ -75,13 +76,14 @@ pub async fn run_row(context: &RowContext, techniques: &Techniques, withdrawn: w
         if taken() > had {
             (retried, had) = (0, taken());
         }
-        let in_time = context.clock().utc() < context.row.end;
+        let in_time = context.tools.authority.surely(context.clock().utc()) < context.row.end;
         if let ActionError::Hidden { clear, .. } = &error {
             rest(context).await;
             return RowEnd::Waits(error.to_string(), *clear);
         }
-        // Each try of a script may open and close the roof, and another task looks names up: such a row rests at once.
-        let rests = matches!(error, ActionError::Script { .. } | ActionError::Unnamed(_));
+        // Each try of a script may open and close the roof, another task looks names up, and a sensor that is not cold was
+        // waited for long enough: such a row rests at once.
+        let rests = matches!(error, ActionError::Script { .. } | ActionError::Unnamed(_) | ActionError::Cooling { .. });
         if rests || !error.may_pass() || retried >= faults.retries || !in_time {
             rest(context).await;
             let kind = error.kind();
@@ -125,7 +127,14 @@ async fn withdrawn_between_frames(context: &RowContext, mut withdrawn: watch::Re
     }
 }
 
-/// After a failure the mount does not go on following a target that nobody observes.
+/// Waits until something stands against the row for which the mount is parked anyway.
+async fn closes(context: &RowContext) {
+    while let Objection::Suspended(_) = context.tools.authority.objected(&context.row).await {
+        tokio::time::sleep(Duration::from_secs(1)).await;
+    }
+}
+
+/// Where no frame is taken for a while, the mount does not go on following a target that nobody observes.
 async fn rest(context: &RowContext) {
     if !context.row.action.needs().mount {
         return;

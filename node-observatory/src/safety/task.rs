@@ -84,6 +84,10 @@ pub async fn keep_judging(
             keep(past.clone(), ended);
         }
         publish(&verdict, judgement, past_verdicts.published(), settled, &clock);
+        verdict.send_if_modified(|verdict| {
+            let ahead_s = utc.seconds_since(earliest);
+            std::mem::replace(&mut verdict.ahead_s, ahead_s).to_bits() != ahead_s.to_bits()
+        });
         record_file.keep(clock.machine(), || history.store(&rules, &moment()));
         tokio::select! {
             (name, state) = recv_node(&nodes) => {

@@ -132,7 +132,7 @@ async fn a_frame_that_does_not_end_is_told_before_anything_fails_and_the_next_st
     site.until("overdue", MOST, |site| overdue(site).is_some()).await;
     let cause = overdue(&site).unwrap();
     assert!(
-        cause.starts_with("row 0 (object): \"exposing 1 of 2") && cause.contains("should have ended by 03:"),
+        cause.starts_with("row 1 (object): \"exposing 1 of 2") && cause.contains("should have ended by 03:"),
         "{cause}"
     );
     site.shutter_of_camera.let_go();

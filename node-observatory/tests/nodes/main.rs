@@ -18,6 +18,7 @@ mod guides_the_field;
 mod keeps_the_focus;
 mod keeps_to_its_target;
 mod measures_frames;
+mod orders_about_rows;
 mod proof;
 mod rests_once;
 mod solves_frames;

@@ -135,7 +135,7 @@ async fn reasons_rows_and_names_are_printed_from_any_host() {
     assert!(output.success, "{}{}", output.out, output.err);
     let table = &output.out;
     assert!(
-        table.contains("waits for row 1, object M31, which starts at")
+        table.contains("waits for row 2, object M31, which starts at")
             && ["(in 30 min)", "(in 29 min)", "(in 28 min)"].iter().any(|left| table.contains(left)),
         "{table}"
     );

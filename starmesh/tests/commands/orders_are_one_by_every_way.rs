@@ -28,9 +28,10 @@ fn cases(form: &OrderForm) -> Vec<Map<String, Value>> {
         // A bad one is not even sent by the command line.
         "text" => json!(NIGHT),
         "temperature_c" => json!(-20.0),
+        "number" => json!(1),
         _ => json!(5.0),
     };
-    let wanted = form.parameters.iter().filter(|parameter| parameter.name != "instead_of");
+    let wanted = form.parameters.iter().filter(|parameter| !["instead_of", "of"].contains(&parameter.name));
     let names: Vec<&str> = wanted.map(|parameter| parameter.name).collect();
     let filled = |is_good| names.iter().map(|&name| (name.to_owned(), value(name, is_good))).collect::<Map<_, _>>();
     let (good, bad) = (filled(true), filled(false));
