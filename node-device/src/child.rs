@@ -2,7 +2,6 @@
 
 use std::process::Stdio;
 
-use anyhow::Context as _;
 use node::NodeOptions;
 use tokio::process::{Child, Command};
 
@@ -14,7 +13,7 @@ pub const END_LIMIT: std::time::Duration = std::time::Duration::from_secs(300);
 /// The node gets a process group of its own, so that Ctrl-C in a terminal reaches the process that supervises it, and
 /// that process alone decides in which order nodes end.
 pub fn command(options: &NodeOptions, id: &str) -> anyhow::Result<Command> {
-    let program = std::env::current_exe().context("cannot find this program's own file")?;
+    let program = node::runs::program()?;
     let mut command = Command::new(program);
     command.args(["node", "device", "--id", id, "--config"]).arg(&options.config);
     for (flag, values) in [("--listen", &options.listen), ("--connect", &options.connect)] {

@@ -240,7 +240,7 @@ async fn next_mount_state(mounts: Option<&Mounts>) -> GuardEvent {
     let Some(mounts) = mounts else { return std::future::pending().await };
     let received = mounts.recv().await;
     let Key::State(device) = received.key else { return GuardEvent::Tick };
-    let is_parked = received.sample.body.fields.at_park.known() == Some(&true);
+    let is_parked = received.sample.body.fields.parked() == Some(true);
     // A state that repeats an old reading is as old as that.
     let age_s = received.sample.body.age_s("AtPark").unwrap_or(0.0);
     let read = received.arrived.minus(Duration::try_from_secs_f64(age_s).unwrap_or(Duration::MAX));

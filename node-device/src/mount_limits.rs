@@ -199,13 +199,9 @@ impl LimitWatch {
         if let Some((true, asked)) = asked_since(sight.slewing, ordered)
             && !self.is_still(sight, asked)
         {
-            self.moved(true);
+            self.slews(sight.ordered);
             self.went = Some(ordered);
-            return match self.stopping.take_if(|stopping| !stopping.parks()) {
-                // Somebody slews it away from there.
-                Some(_) => Looked::nothing(Alarm::Leave),
-                None => self.go_on(now, Says::Slews, can_park),
-            };
+            return self.go_on(now, Says::Slews, can_park);
         }
         let Some(rest_since) = self.rest_since(sight, ordered, now) else {
             return self.go_on(now, Says::Nothing, can_park);
@@ -218,6 +214,13 @@ impl LimitWatch {
         let motion = self.coordinates.motion();
         if self.stopping.is_some() && (motion == Motion::Stands || (flag == Some(false) && motion == Motion::Moves)) {
             // Its own coordinates show that it does not follow the sky any more.
+            self.stopping = None;
+        }
+        if self.stopping.as_ref().is_some_and(Stopping::has_slewed)
+            && place.is_some()
+            && self.why(now, rest_since, sight, sky).is_none()
+        {
+            // A slew has brought it back within its limits.
             self.stopping = None;
         }
         if self.stopping.is_some() {
@@ -278,6 +281,19 @@ impl LimitWatch {
                 self.stopping = None;
                 Some(Looked::nothing(Alarm::Leave))
             }
+        }
+    }
+
+    /// It says that it slews. Where nobody has ordered that since it was ordered to stop, it may only slow down: the stopping
+    /// goes on where it comes to rest, and the pier side on which it came there still counts.
+    fn slews(&mut self, ordered: Option<(Ordered, MachineTime)>) {
+        if self.stopping.as_ref().is_some_and(|stopping| stopping.is_sent_away(ordered)) {
+            self.stopping = None;
+        }
+        let approach = std::mem::take(&mut self.approach);
+        self.moved(true);
+        if self.stopping.is_some() {
+            self.approach = approach;
         }
     }
 

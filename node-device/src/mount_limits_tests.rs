@@ -111,6 +111,8 @@ struct Fake {
     obeys_off: bool,
     obeys_abort: bool,
     obeys_park: bool,
+    /// It says so long after an abort that it slews, s.
+    slows_down_s: f64,
     /// What it reports.
     says_tracking: Option<bool>,
     says_altitude_deg: Option<f64>,
@@ -137,6 +139,7 @@ impl Fake {
             obeys_off: true,
             obeys_abort: true,
             obeys_park: true,
+            slows_down_s: 0.0,
             says_tracking: None,
             says_altitude_deg: None,
             hides_place: false,
@@ -186,6 +189,9 @@ impl Fake {
             }
             Command::Abort => {
                 self.tracks &= !self.obeys_abort;
+                if self.slows_down_s > 0.0 {
+                    self.slews_until_s = seconds + self.slows_down_s;
+                }
                 self.ordered = Some((Ordered::Stop, at(seconds).machine));
             }
             Command::Park => {
@@ -289,6 +295,47 @@ fn a_mount_that_nothing_stops_is_published_as_not_stopped_and_ordered_for_ever()
     assert!(!early.beyond.expect("being stopped").not_stopped);
     let (_, later) = watched(&mut deaf.clone(), 0..first + 60, &mut watch(), |_, _| {});
     assert!(later.beyond.expect("being stopped").not_stopped);
+}
+
+#[test]
+fn a_mount_that_slews_for_a_second_after_each_abort_is_parked_and_published_as_not_stopped() {
+    let base = Fake { obeys_off: false, obeys_abort: false, obeys_park: false, ..Fake::coming_to_the_limit() };
+    let deaf = Fake { slows_down_s: 1.0, ..base };
+    let each = |fake: &mut Fake, second: u32| {
+        if f64::from(second) > fake.slews_until_s {
+            fake.slews_until_s = -1.0;
+        }
+    };
+    let (orders, last) = watched(&mut deaf.clone(), 0..400, &mut watch(), each);
+    assert_eq!(words(&orders)[..4], ["off", "abort", "off", "park"], "{orders:?}");
+    assert!(orders[3].0 - orders[0].0 <= 12, "parked within seconds: {orders:?}");
+    assert!(last.beyond.expect("published").not_stopped, "{orders:?}");
+    let (_, slows_down) = watched(&mut deaf.clone(), 0..orders[1].0 + 2, &mut watch(), each);
+    assert!(slows_down.beyond.is_some(), "it is not seen stopped");
+}
+
+#[test]
+fn a_mount_that_somebody_slews_back_within_its_limits_is_stopped_no_longer() {
+    let deaf = Fake { obeys_off: false, ..Fake::coming_to_the_limit() };
+    let (orders, _) = watched(&mut deaf.clone(), 0..200, &mut watch(), |_, _| {});
+    let (slews, arrives) = (orders[0].0 + 2, orders[0].0 + 40);
+    for ordered_here in [true, false] {
+        let each = |fake: &mut Fake, second: u32| {
+            if second == slews {
+                fake.slews_until_s = f64::from(arrives);
+                if ordered_here {
+                    fake.ordered = Some((Ordered::Go, at(f64::from(second) - 0.6).machine));
+                }
+            }
+            if second == arrives {
+                (fake.ra_deg, fake.slews_until_s) = (fake.ra_deg + 60.0, -1.0);
+            }
+        };
+        let (_, on_its_way) = watched(&mut deaf.clone(), 0..slews + 10, &mut watch(), each);
+        assert_eq!(on_its_way.beyond.is_none(), ordered_here, "nobody knows yet where it goes");
+        let (orders, last) = watched(&mut deaf.clone(), 0..300, &mut watch(), each);
+        assert_eq!((words(&orders), last.beyond, last.alarm), (vec!["off"], None, Alarm::Clear), "{orders:?}");
+    }
 }
 
 #[test]

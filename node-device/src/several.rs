@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use node::watchdog::{self, Watchdog};
 use node::{NodeOptions, Stop, lines};
+use tokio::process::Child;
 use tokio::task::JoinSet;
 
 use crate::child::{self, END_LIMIT};
@@ -34,7 +35,7 @@ pub fn main(options: &NodeOptions) -> ExitCode {
 struct RunningNode {
     id: String,
     stop: Stop,
-    tasks: JoinSet<anyhow::Result<bool>>,
+    tasks: JoinSet<bool>,
 }
 
 async fn run(options: &NodeOptions) -> anyhow::Result<()> {
@@ -78,7 +79,7 @@ async fn run(options: &NodeOptions) -> anyhow::Result<()> {
         for RunningNode { stop, mut tasks, .. } in nodes {
             stop.stop();
             while let Some(ended) = tasks.join_next().await {
-                failed |= !matches!(ended, Ok(Ok(true)));
+                failed |= !matches!(ended, Ok(true));
             }
         }
         failed
@@ -137,44 +138,58 @@ fn start_missing(nodes: &mut Vec<RunningNode>, options: &NodeOptions, ids: &[(St
     }
 }
 
-/// Runs one node and starts it again; true where it ended in good order after it was asked to.
-async fn keep(options: &NodeOptions, id: &str, stop: Stop) -> anyhow::Result<bool> {
+/// Runs one node and starts it again, also after a start that failed; true where it ended in good order after it was asked
+/// to.
+async fn keep(options: &NodeOptions, id: &str, stop: Stop) -> bool {
     let mut pause = Duration::from_secs(1);
     loop {
         let started = Instant::now();
-        let watchdog = Watchdog::open();
-        let mut command = child::command(options, id)?;
-        match &watchdog {
-            Ok(watchdog) => command.env(watchdog::SOCKET, watchdog.path()),
-            Err(_) => command.env_remove(watchdog::SOCKET),
-        };
-        let spawned = command.kill_on_drop(options.with_parent).spawn();
-        let mut child = spawned.with_context(|| format!("cannot start the device node {id}"))?;
-        // Waiting would close it, and the node would take that for our end.
-        let lifeline = child.stdin.take();
-        let running = async {
-            tokio::select! {
-                ended = child.wait() => Some(ended),
-                () = watchdog::hung(&watchdog) => None,
-            }
-        };
-        let Some(ended) = stop.or(running).await else {
-            child::ask_to_end(&mut child);
-            let ended = tokio::time::timeout(END_LIMIT + Duration::from_secs(10), child.wait()).await;
-            drop(lifeline);
-            return Ok(matches!(ended, Ok(Ok(status)) if status.success()));
-        };
-        let status = match ended {
-            Some(ended) => ended.map_or_else(|error| error.to_string(), |status| status.to_string()),
-            None => {
-                child.kill().await.with_context(|| format!("cannot end the device node {id}, which hangs"))?;
-                "it hung, and was killed".to_owned()
-            }
+        let status = match run_once(options, id, &stop).await {
+            Ok(in_good_order) => return in_good_order,
+            Err(status) => status,
         };
         pause = if started.elapsed() > HEALTHY { Duration::from_secs(1) } else { (pause * 2).min(LONGEST_PAUSE) };
         lines::complain(format_args!("node-device: the device node {id} ended ({status}); next start in {pause:?}"));
         if stop.or(tokio::time::sleep(pause)).await.is_none() {
-            return Ok(true);
+            return true;
         }
     }
+}
+
+/// Runs one node until it is asked to end: true where it then ended in good order. An error says how it ended without being
+/// asked to, or why it was not started.
+async fn run_once(options: &NodeOptions, id: &str, stop: &Stop) -> Result<bool, String> {
+    let watchdog = Watchdog::open();
+    let spawned = spawn(options, id, watchdog.as_ref().ok());
+    let mut child = spawned.map_err(|error| format!("it was not started: {error:#}"))?;
+    // Waiting would close it, and the node would take that for our end.
+    let lifeline = child.stdin.take();
+    let running = async {
+        tokio::select! {
+            ended = child.wait() => Some(ended),
+            () = watchdog::hung(&watchdog) => None,
+        }
+    };
+    let Some(ended) = stop.or(running).await else {
+        child::ask_to_end(&mut child);
+        let ended = tokio::time::timeout(END_LIMIT + Duration::from_secs(10), child.wait()).await;
+        drop(lifeline);
+        return Ok(matches!(ended, Ok(Ok(status)) if status.success()));
+    };
+    Err(match ended {
+        Some(ended) => ended.map_or_else(|error| error.to_string(), |status| status.to_string()),
+        None => match child.kill().await {
+            Ok(()) => "it hung, and was killed".to_owned(),
+            Err(error) => format!("it hung, and cannot be killed: {error}"),
+        },
+    })
+}
+
+fn spawn(options: &NodeOptions, id: &str, watchdog: Option<&Watchdog>) -> anyhow::Result<Child> {
+    let mut command = child::command(options, id)?;
+    match watchdog {
+        Some(watchdog) => command.env(watchdog::SOCKET, watchdog.path()),
+        None => command.env_remove(watchdog::SOCKET),
+    };
+    command.kill_on_drop(options.with_parent).spawn().context("cannot start this program again")
 }

@@ -122,7 +122,7 @@ pub async fn all(
         shared.plain(&cover.common, CoverCalibrator)?;
     }
     for switch in config.switch.iter().filter(|device| part.serves(Kind::Switch, &device.common)) {
-        shared.plain(&switch.common, Switch::default())?;
+        shared.plain(&switch.common, Switch::new(&switch.limit))?;
     }
     for rotator in config.rotator.iter().filter(|device| part.serves(Kind::Rotator, &device.common)) {
         shared.plain(&rotator.common, Rotator::new(rotator.tolerance_deg))?;

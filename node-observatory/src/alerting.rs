@@ -5,10 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{Catch, MachineTime};
-use contract::node::NodeState;
 use contract::observatory::{AlertKind, Alerts};
 use contract::{Key, Name, NodeTopic, Part, Role, Topic};
-use node::Node;
 use safety::annunciator::Annunciator;
 use tokio::sync::watch;
 use units::Utc;
@@ -21,8 +19,6 @@ use crate::tasks::Tasks;
 /// Each node publishes its alerts every 10 s; a node that is silent for longer than this is away. For as long after
 /// this node began to publish, it takes nothing for gone: by then it has received from every node that is there.
 const SILENCE: Duration = Duration::from_secs(60);
-/// A node publishes its state every 5 s; the on-delay of the alert is added to this.
-const LOST: Duration = Duration::from_secs(15);
 
 /// Nodes of one telescope whose alerts are merged, and alerts of each: what is more comes from no node of ours, and all
 /// that is merged has to fit into one message.
@@ -42,7 +38,7 @@ pub fn start(tasks: &mut Tasks, authority: &Arc<Authority>, orders: &OrderState)
     let pinging = authority.clone();
     let is_well = move || pinging.is_judging() && pinging.is_publishing();
     tasks.spawn("ping", notify::keep_pinging(node.clone(), is_well));
-    tasks.spawn("silent nodes", keep_noticing_silence(node.clone()));
+    tasks.spawn("silent nodes", notify::keep_noticing_silence(node.clone(), || true));
 }
 
 /// Publishes the merged alerts at each change and every 10 s.
@@ -118,82 +114,4 @@ fn observe(
         is_new
     });
     all
-}
-
-/// Raises an alert for each node of this telescope that has published and is silent now.
-async fn keep_noticing_silence(node: Node) -> anyhow::Result<()> {
-    let address = node.config.address();
-    let expression = Topic::Node(NodeTopic::State).at(&address);
-    let states = node.bus.subscribe::<NodeState>(expression, Catch::Newest, 256).await?;
-    let clock = node.bus.clock().clone();
-    let mut nodes = OtherNodes::default();
-    loop {
-        if let Ok(state) = tokio::time::timeout(Duration::from_secs(1), states.recv()).await
-            && let Key::Node(_, role, id, NodeTopic::State) = state.key
-            && (role, &id) != (node.role, &node.id)
-        {
-            node.alerts.clear(AlertKind::NodeSilent, format_args!("{role}/{id}"));
-            nodes.take(role, id, &state.sample.body, state.arrived);
-        }
-        for (role, id, host) in nodes.silent(clock.machine()) {
-            let cause = format!("the {role} node {id} on host \"{host}\" has fallen silent");
-            node.alerts.raise(AlertKind::NodeSilent, format_args!("{role}/{id}"), &cause);
-        }
-    }
-}
-
-/// The other nodes of a telescope that have published, with their hosts. Pure: time comes in.
-#[derive(Default)]
-struct OtherNodes(BTreeMap<(Role, Name), (String, MachineTime)>);
-
-impl OtherNodes {
-    fn take(&mut self, role: Role, id: Name, state: &NodeState, arrived: MachineTime) {
-        if state.ended_well() {
-            // It has reported that it will be silent.
-            self.0.remove(&(role, id));
-        } else if self.0.len() < MOST_NODES || self.0.contains_key(&(role, id.clone())) {
-            self.0.insert((role, id), (state.host.clone(), arrived));
-        }
-    }
-
-    /// Those that have been silent for too long.
-    fn silent(&self, now: MachineTime) -> impl Iterator<Item = (Role, &Name, &str)> {
-        let is_silent = move |arrived: MachineTime| now.since(arrived) > LOST;
-        let each = self.0.iter().filter(move |(_, (_, arrived))| is_silent(*arrived));
-        each.map(|((role, id), (host, _))| (*role, id, host.as_str()))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use contract::node::Stopped;
-
-    use super::*;
-
-    #[test]
-    fn a_node_that_ended_in_good_order_is_not_silent_and_one_that_left_a_dome_open_is() {
-        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
-        let state = |stopped: Option<Option<bool>>| NodeState {
-            role: Role::Device,
-            version: String::new(),
-            host: "dome-pc".to_owned(),
-            pid: 1,
-            uptime_s: 1.0,
-            speed: 1.0,
-            figures: BTreeMap::new(),
-            stopped: stopped.map(|closed| Stopped { by: "starmesh up on dome-pc".to_owned(), closed }),
-        };
-        for (last, is_silent) in
-            [(None, true), (Some(None), false), (Some(Some(true)), false), (Some(Some(false)), true)]
-        {
-            let mut nodes = OtherNodes::default();
-            nodes.take(Role::Device, "enclosure".parse().unwrap(), &state(None), at(100));
-            nodes.take(Role::Device, "enclosure".parse().unwrap(), &state(last), at(105));
-            assert_eq!(nodes.silent(at(119)).count(), 0, "{last:?}: too soon");
-            let silent: Vec<_> = nodes.silent(at(121)).map(|(role, id, host)| format!("{role}/{id} {host}")).collect();
-            assert_eq!(silent, if is_silent { vec!["device/enclosure dome-pc"] } else { Vec::new() }, "{last:?}");
-            nodes.take(Role::Device, "enclosure".parse().unwrap(), &state(None), at(130));
-            assert_eq!(nodes.silent(at(146)).count(), 1, "{last:?}: it runs again, and falls silent then");
-        }
-    }
 }

@@ -51,6 +51,20 @@ const END_DEVICE: Duration = Duration::from_secs(310);
 /// An enclosure has no guard meanwhile (docs/reliability.md).
 const MOST_DEVICE: Duration = Duration::from_secs(5);
 
+/// How a node ended that was not asked to.
+struct Ended {
+    status: String,
+    is_hung: bool,
+    /// It said why, perhaps as the last time.
+    is_known_failure: bool,
+}
+
+impl Ended {
+    fn of(status: String) -> Self {
+        Self { status, is_hung: false, is_known_failure: false }
+    }
+}
+
 impl NodeProcess {
     fn longest_pause(&self) -> Duration {
         if self.role == Role::Device { MOST_DEVICE } else { MOST }
@@ -78,8 +92,7 @@ impl NodeProcess {
     }
 
     fn spawn_with(&self, last_words: Option<&Path>, watchdog: Option<&Watchdog>) -> anyhow::Result<Child> {
-        let program = std::env::current_exe().context("cannot find this program's own file")?;
-        let mut command = self.command(&program);
+        let mut command = self.command(&node::runs::program()?);
         if self.with_parent {
             command.arg("--with-parent").stdin(Stdio::piped());
         } else {
@@ -108,64 +121,32 @@ impl NodeProcess {
         Ok(child)
     }
 
-    /// Restarts the node until the stop is requested: after 1 s, with back-off while it ends again and again.
-    pub async fn keep(&self, stop: Stop) -> anyhow::Result<()> {
+    /// Starts the node, and again until the stop is requested: after 1 s, with back-off while it ends again and again or
+    /// cannot be started.
+    pub async fn keep(&self, stop: Stop) {
         let mut pause = Duration::from_secs(1);
-        let words = tempfile::NamedTempFile::new().context("no temporary file")?.into_temp_path();
+        // Without it a node that ends prints each time why.
+        let words = tempfile::NamedTempFile::new().ok().map(tempfile::NamedTempFile::into_temp_path);
         let mut printed_before = String::new();
         loop {
             let started = Instant::now();
-            let watchdog = Watchdog::open();
-            if let Err(error) = watchdog.as_ref().map_err(std::io::Error::kind)
-                && error != std::io::ErrorKind::Unsupported
-            {
-                node::lines::complain(format_args!(
-                    "starmesh: nobody will notice it if the {} node hangs: {error}",
-                    self.role
-                ));
-            }
-            let mut child = self.spawn_with(Some(&words), watchdog.as_ref().ok())?;
-            // `wait` would close it, and the node would take that for our end.
-            let lifeline = child.stdin.take();
-            let running = async {
-                tokio::select! {
-                    ended = child.wait() => Some(ended),
-                    () = watchdog::hung(&watchdog) => None,
-                }
-            };
-            let Some(ended) = stop.or(running).await else {
-                drop(lifeline);
-                return end(child, self.end_within()).await;
-            };
+            let Some(ended) = self.run(&stop, words.as_deref()).await else { return };
             // A process that has run for a while, or was killed, prints the cause of its end again.
-            let is_hung = ended.is_none();
-            let ended = match ended {
-                Some(ended) => ended,
-                None => {
-                    // It takes no signal that asks. The guard of an enclosure outlives its guard process, and the other way round.
-                    child.start_kill().context("cannot end a node that hangs")?;
-                    child.wait().await
-                }
-            };
-            let is_known_failure = ended.as_ref().is_ok_and(|status| status.code() == Some(1));
-            if !is_known_failure || started.elapsed() > HEALTHY {
+            if !ended.is_known_failure || started.elapsed() > HEALTHY {
                 printed_before.clear();
                 // Where the file cannot be emptied, a line is left out at most.
-                let _ = std::fs::write(&words, "");
-            }
-            let mut status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
-            if is_hung {
-                status = "it did not report for 20 s, so it was killed".to_owned();
+                let _ = words.as_deref().map(|words| std::fs::write(words, ""));
             }
             pause = if started.elapsed() > HEALTHY {
                 Duration::from_secs(1)
             } else {
                 (pause * 2).min(self.longest_pause())
             };
+            let status = ended.status;
             if let Some(reports) = &self.reports {
-                reports.ended(self.role, &self.id, &status, is_hung);
+                reports.ended(self.role, &self.id, &status, ended.is_hung);
             }
-            let text = std::fs::read_to_string(&words).unwrap_or_default();
+            let text = words.as_deref().and_then(|words| std::fs::read_to_string(words).ok()).unwrap_or_default();
             if text.is_empty() || text != printed_before {
                 node::lines::complain(format_args!(
                     "starmesh: the {} node {} ended ({status}); next start in {pause:?}, and again without a further word \
@@ -175,9 +156,52 @@ impl NodeProcess {
             }
             printed_before = text;
             if stop.or(tokio::time::sleep(pause)).await.is_none() {
-                return Ok(());
+                return;
             }
         }
+    }
+
+    /// Starts the node and waits for its end; `None` if it was asked to end. A node that cannot be started has ended too.
+    async fn run(&self, stop: &Stop, words: Option<&Path>) -> Option<Ended> {
+        let watchdog = Watchdog::open();
+        if let Err(error) = watchdog.as_ref().map_err(std::io::Error::kind)
+            && error != std::io::ErrorKind::Unsupported
+        {
+            node::lines::complain(format_args!(
+                "starmesh: nobody will notice it if the {} node hangs: {error}",
+                self.role
+            ));
+        }
+        let mut child = match self.spawn_with(words, watchdog.as_ref().ok()) {
+            Ok(child) => child,
+            Err(error) => return Some(Ended::of(format!("it was not started: {error:#}"))),
+        };
+        // `wait` would close it, and the node would take that for our end.
+        let lifeline = child.stdin.take();
+        let running = async {
+            tokio::select! {
+                ended = child.wait() => Some(ended),
+                () = watchdog::hung(&watchdog) => None,
+            }
+        };
+        let Some(ended) = stop.or(running).await else {
+            drop(lifeline);
+            if let Err(error) = end(child, self.end_within()).await {
+                node::lines::complain(format_args!("starmesh: the {} node {}: {error:#}", self.role, self.id));
+            }
+            return None;
+        };
+        let Some(ended) = ended else {
+            // It takes no signal that asks. The guard of an enclosure outlives its guard process, and the other way round.
+            let status = match child.kill().await {
+                Ok(()) => "it did not report for 20 s, so it was killed".to_owned(),
+                Err(error) => format!("it did not report for 20 s, and cannot be killed: {error}"),
+            };
+            return Some(Ended { is_hung: true, ..Ended::of(status) });
+        };
+        let is_known_failure = ended.as_ref().is_ok_and(|status| status.code() == Some(1));
+        let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
+        Some(Ended { is_known_failure, ..Ended::of(status) })
     }
 }
 
@@ -203,4 +227,42 @@ fn append(log: &Path) -> anyhow::Result<std::fs::File> {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
     options.open(log).with_context(|| format!("cannot write the log {}", log.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_node_that_cannot_be_started_is_started_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let logs = folder.path().join("logs");
+        let log = logs.join("archive.log");
+        // Once it can be started, it is this test's own program, which does not know these arguments and ends.
+        let node = NodeProcess {
+            role: Role::Archive,
+            id: "main".to_owned(),
+            config: folder.path().join("observatory.toml"),
+            arguments: Vec::new(),
+            log: Some(log.clone()),
+            with_parent: true,
+            left: None,
+            reports: None,
+            state: None,
+        };
+        assert!(node.spawn().is_err(), "its log has no folder");
+        let stop = Stop::default();
+        let mut keeping = std::pin::pin!(node.keep(stop.clone()));
+        let first_start = tokio::time::timeout(Duration::ZERO, &mut keeping).await;
+        assert!(first_start.is_err() && !log.exists(), "one start that failed ended the supervision");
+        std::fs::create_dir(&logs).unwrap();
+        let second_start = async {
+            while !log.exists() {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+            stop.stop();
+        };
+        let both = async { tokio::join!(keeping, second_start) };
+        tokio::time::timeout(Duration::from_secs(60), both).await.unwrap();
+    }
 }

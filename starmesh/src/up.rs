@@ -78,7 +78,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         state: None,
     };
     let page = page(config.web.listen);
-    let mut devices: Vec<(String, Stop, JoinSet<anyhow::Result<()>>)> = Vec::new();
+    let mut devices: Vec<(String, Stop, JoinSet<()>)> = Vec::new();
     // Enclosures first, at the start and at the end: an enclosure that waits for the mount needs the mount's node until
     // it is closed.
     for id in config.device_nodes() {

@@ -123,6 +123,10 @@ pub struct Limit {
     /// What was bad below `lower` is good again only at this or above; as `lower` where absent.
     #[serde(default)]
     pub reopen_lower: Option<f64>,
+    /// Of a switch: its smallest and its largest value, outside of which a value is the code of a fault and counts as
+    /// missing; the range that its server gives where absent.
+    #[serde(default, deserialize_with = "crate::pair::some_pair")]
+    pub possible: Option<[f64; 2]>,
     /// What of the parameter is limited.
     #[serde(default)]
     pub of: Measure,

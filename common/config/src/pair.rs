@@ -19,6 +19,11 @@ pub(crate) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2
     deserializer.deserialize_seq(Numbers)
 }
 
+/// The same for a key that may be absent.
+pub(crate) fn some_pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 2]>, D::Error> {
+    pair(deserializer).map(Some)
+}
+
 struct Numbers;
 
 impl<'de> Visitor<'de> for Numbers {

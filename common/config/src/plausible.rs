@@ -1,8 +1,9 @@
 //! Which numbers can be meant: ranges, and the units that are most often mistaken.
 
+use contract::Address;
 use contract::device::observing_conditions::{PhysicalRange, physical_range};
 
-use crate::device::{Limit, Measure, blocks};
+use crate::device::{Device, Limit, Measure, blocks};
 use crate::findings::Findings;
 use crate::host::{host_name, host_port};
 use crate::observatory::Observatory;
@@ -11,6 +12,8 @@ use crate::observatory::Observatory;
 const KELVIN_FROM: f64 = 150.0;
 /// How old a reading of a safety monitor may be, s.
 const AGE_S: (f64, f64) = (0.1, 3600.0);
+/// No value with a limit may be older than this unless the limit itself says so, s; as in `common/safety`.
+const LIMIT_AGE_S: f64 = 60.0;
 /// States that are held in memory, min: at least some, at most a day.
 const HOLD_MIN: (f64, f64) = (0.05, 1440.0);
 /// Steps of a focuser: positions are whole numbers from 0 on, as in schedules.
@@ -181,10 +184,42 @@ fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
             findings.block(&path, &shown, &format!("max_age_s = {age}: expected at least period_s = {period}: {why}"));
         }
     }
+    // In the file of the shared devices no limit has an effect.
+    if observatory.place.telescope.as_str() != Address::SHARED {
+        fresh(&observatory.observingconditions, |station| station.limit.as_slice(), findings);
+        fresh(&observatory.switch, |switch| switch.limit.as_slice(), findings);
+    }
     for (path, shown, camera) in blocks(&observatory.camera) {
         if let Some(kelvin) = camera.temperature_c.filter(|set| *set >= KELVIN_FROM) {
             let fault = format!("temperature_c = {kelvin}: expected degrees Celsius; {}", from_kelvin(kelvin));
             findings.block(&path, &shown, &fault);
+        }
+    }
+}
+
+/// A limit whose values are too old before the next ones are read would never be good.
+fn fresh<D: Device>(list: &[D], limits: impl Fn(&D) -> &[Limit], findings: &mut Findings<'_>) {
+    let why = "between two readings a limit would be without a value each time";
+    for (path, shown, device) in blocks(list) {
+        let period = device.common().period_s;
+        for (index, limit) in limits(device).iter().enumerate().filter(|(_, limit)| limit.disabled.is_none()) {
+            match limit.max_age_s {
+                Some(age) if age > 0.0 && age < period => findings.error(
+                    &format!("{path}.limit[{index}].max_age_s"),
+                    format!(
+                        "limit on \"{}\": max_age_s = {age}: expected at least period_s = {period}: {why}",
+                        limit.parameter
+                    ),
+                ),
+                None if period > LIMIT_AGE_S => {
+                    let fault = format!(
+                        "period_s = {period}: expected at most {LIMIT_AGE_S} s, or a max_age_s of at least {period} \
+                         in each limit: {why}"
+                    );
+                    findings.block(&path, &shown, &fault);
+                }
+                _ => {}
+            }
         }
     }
 }

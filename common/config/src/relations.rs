@@ -190,6 +190,11 @@ fn decided_elsewhere(observatory: &Observatory, findings: &mut Findings<'_>) {
             ignored(&path, &shown, "disabled", instead);
         }
     }
+    for (path, shown, switch) in blocks(&observatory.switch) {
+        if !switch.limit.is_empty() {
+            ignored(&path, &shown, "limit", "write the [[switch]] with its limit in each telescope's own file");
+        }
+    }
 }
 
 fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
@@ -275,8 +280,19 @@ fn limits(observatory: &Observatory, findings: &mut Findings<'_>) {
             if contract::device::switch::number_of(&limit.parameter).is_none() {
                 no_such_parameter(limit, "expected GetSwitchValue0, GetSwitchValue1 and so on", &path, findings);
             }
+            possible_holds(limit, &path, findings);
             limit_holds(limit, &path, findings);
         }
+    }
+}
+
+fn possible_holds(limit: &Limit, path: &str, findings: &mut Findings<'_>) {
+    let Some([low, high]) = limit.possible else { return };
+    let is_range = low < high && low.is_finite() && high.is_finite();
+    if !is_range {
+        let name = limit.parameter.as_str();
+        let why = "expected the switch's smallest value, then its largest one";
+        findings.error(&format!("{path}.possible"), format!("limit on \"{name}\": possible = [{low}, {high}]: {why}"));
     }
 }
 
@@ -288,6 +304,11 @@ fn weather_limit(limit: &Limit, path: &str, findings: &mut Findings<'_>) {
                 .to_owned()
         });
         no_such_parameter(limit, &help, path, findings);
+    }
+    if limit.possible.is_some() {
+        let name = limit.parameter.as_str();
+        let why = "possible is for limits of a switch; which weather is possible is known: leave it out";
+        findings.error(&format!("{path}.possible"), format!("limit on \"{name}\": {why}"));
     }
     limit_holds(limit, path, findings);
     plausible::weather(limit, path, findings);

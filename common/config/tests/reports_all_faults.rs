@@ -79,15 +79,16 @@ fn what_each_telescope_decides_has_no_effect_at_a_shared_device_and_is_warned_of
                   elevation_m = 2518\n[[observingconditions]]\nname = \"wx\"\nserver = \"10.0.0.5:11111\"\nnumber = 0\n\
                   limit = [{ parameter = \"WindSpeed\", upper = 12.0 }]\n[[safetymonitor]]\nname = \"cloud\"\n\
                   server = \"10.0.0.5:11111\"\nnumber = 0\ndwell_min = 30\nmax_age_s = 20\n\
-                  disabled = \"its head is wet\"\n";
+                  disabled = \"its head is wet\"\n[[switch]]\nname = \"ups\"\nserver = \"10.0.0.5:11111\"\n\
+                  limit = [{ parameter = \"GetSwitchValue0\", lower = 50 }]\n";
     let (values, faults) = config::examine(shared, Path::new("/site"));
     assert!(values.is_some(), "{faults:?}");
     let warned: Vec<(usize, bool)> = faults
         .iter()
         .filter(|fault| fault.severity == Severity::Warning)
-        .map(|fault| (fault.line, fault.what.contains("[shared] of its own file")))
+        .map(|fault| (fault.line, fault.what.contains("own file")))
         .collect();
-    assert_eq!(warned, [(11, true), (16, true), (17, true), (18, true)], "{faults:#?}");
+    assert_eq!(warned, [(11, true), (16, true), (17, true), (18, true), (22, true)], "{faults:#?}");
     let (_, faults) =
         config::examine(&shared.replace("limit =", "# limit =").replace("= 30", "= 15"), Path::new("/site"));
     assert_eq!(faults.len(), 2, "{faults:#?}");

@@ -86,6 +86,13 @@ impl<T> Datum<T> {
         }
     }
 
+    /// The driver answers with an error instead of a value, or says that it does not have this: nobody will ever see there
+    /// whether a command was done.
+    pub fn is_refused(&self) -> bool {
+        matches!(self, Self::Missing { no_data }
+            if no_data.0.starts_with("ascom ") || *no_data == NoData::not_implemented())
+    }
+
     /// The value or the reason why there is none.
     pub fn as_result(&self) -> Result<&T, &NoData> {
         match self {

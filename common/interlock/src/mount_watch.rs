@@ -43,6 +43,8 @@ pub struct MountWatch {
     tries: u32,
     /// It has stopped or parked since the permit was lost: a person who moves it later does so on purpose.
     rested: bool,
+    /// It was asked to park since the permit was lost.
+    asked_to_park: bool,
     answered: bool,
     called: bool,
 }
@@ -50,7 +52,15 @@ pub struct MountWatch {
 impl MountWatch {
     /// A watch that begins without a permit.
     pub fn new(now: MachineTime) -> Self {
-        Self { lost_since: now, last_step: None, tries: 0, rested: false, answered: true, called: false }
+        Self {
+            lost_since: now,
+            last_step: None,
+            tries: 0,
+            rested: false,
+            asked_to_park: false,
+            answered: true,
+            called: false,
+        }
     }
 
     /// What the mount must do now, if anything; `answers`: whether its server does.
@@ -69,18 +79,24 @@ impl MountWatch {
         }
         (self.answered, self.called) = (answers, must_park);
         if calls.permitted && !must_park {
-            (self.lost_since, self.last_step, self.tries, self.rested) = (now, None, 0, false);
+            (self.lost_since, self.last_step, self.tries) = (now, None, 0);
+            (self.rested, self.asked_to_park) = (false, false);
             return None;
         }
-        let parked = fields.at_park.known() == Some(&true);
+        let parked = fields.parked() == Some(true);
         let stands = fields.tracking.known() == Some(&false) && fields.slewing.known() == Some(&false);
-        self.rested |= parked || (stands && !can_park);
+        // A driver that does not tell whether the mount is parked: all that is ever seen is that it stands, a while after
+        // it was asked.
+        let was_asked = self.asked_to_park && self.last_step.is_some_and(|last| now.since(last) >= RETRY);
+        let parked_unseen = was_asked && fields.at_park.is_refused();
+        self.rested |= parked || (stands && (!can_park || parked_unseen));
         let command =
             if must_park { needed(parked, stands, can_park) } else { self.late(now, parked, stands, can_park) };
         let pause = if !must_park && self.tries >= TRIES { RARELY } else { RETRY };
         let is_due = self.last_step.is_none_or(|last| now.since(last) >= pause);
         let command = command.filter(|_| is_due)?;
         self.last_step = Some(now);
+        self.asked_to_park |= answers && command == Command::Park;
         // A command to a mount that is away does not count as a try.
         self.tries = (self.tries + u32::from(answers)).min(TRIES);
         Some(command)
@@ -204,6 +220,14 @@ mod tests {
         let all: Vec<u64> = (0..601).filter(|s| watch.look(at(*s), lost, &tracking, false, true).is_some()).collect();
         assert_eq!(all, (0..601).step_by(30).collect::<Vec<_>>());
         assert_eq!(watch.look(at(700), lost, &mount(false, false), false, true), None, "it stands");
+    }
+
+    #[test]
+    fn a_mount_that_does_not_tell_whether_it_is_parked_is_asked_once_and_again_where_a_roof_waits() {
+        let unseen = Fields { at_park: Datum::missing(contract::NoData::not_implemented()), ..mount(false, false) };
+        let mut watch = MountWatch::new(at(0));
+        assert_eq!(asked(&mut watch, 0..2000, calls(false, ALONGSIDE), &unseen, true), [(300, Command::Park)]);
+        assert_eq!(asked(&mut watch, 2000..2060, calls(false, WAITING), &unseen, true).len(), 2);
     }
 
     #[test]

@@ -5,8 +5,10 @@
 //! writes is apart from the node's work, which waits for no disk.
 
 use std::path::PathBuf;
+use std::sync::OnceLock;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use anyhow::Context as _;
 use contract::observatory::AlertKind;
 
 use crate::Node;
@@ -36,8 +38,8 @@ impl Ends {
     }
 
     fn forget(&mut self, now_s: u64) {
-        // A clock that was set back makes no end older.
-        self.0.retain(|at_s| now_s.saturating_sub(*at_s) <= WITHIN.as_secs());
+        // An end that lies further in the future was noted by a clock that was wrong, and would be an alert until then.
+        self.0.retain(|at_s| now_s.abs_diff(*at_s) <= WITHIN.as_secs());
         let surplus = self.0.len().saturating_sub(MANY);
         self.0.drain(..surplus);
     }
@@ -52,6 +54,26 @@ impl Ends {
     fn read(text: &str) -> Self {
         Self(text.split_whitespace().skip(1).filter_map(|word| word.parse().ok()).collect())
     }
+}
+
+/// This program's own file, which the next run is started from. It is looked up once: Linux calls a file "NAME (deleted)"
+/// after an update has replaced it.
+///
+/// # Errors
+/// Where the system does not give it.
+pub fn program() -> anyhow::Result<PathBuf> {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    if let Some(program) = PROGRAM.get() {
+        return Ok(program.clone());
+    }
+    let program = std::env::current_exe().context("cannot find this program's own file")?;
+    Ok(PROGRAM.get_or_init(|| replaced(program)).clone())
+}
+
+/// The file that stands where a deleted one stood; `program` itself where there is none.
+fn replaced(program: PathBuf) -> PathBuf {
+    let before = program.to_str().and_then(|path| path.strip_suffix(" (deleted)")).map(PathBuf::from);
+    before.filter(|path| path.exists()).unwrap_or(program)
 }
 
 /// Notes that this run has begun; logs, and raises, what the file shows of those before it. Lasts as long as the alert may.
@@ -117,8 +139,28 @@ mod tests {
             assert_eq!(ends.are_many(at_s), many, "at {at_s}: {ends:?}");
         }
         assert!(ends.are_many(2190) && !ends.are_many(2191), "the end at 1590 has passed");
-        ends.take(100);
-        assert!(!ends.0.is_empty(), "a clock that was set back loses nothing");
+        ends.take(1600);
+        assert!(ends.are_many(1600), "a clock that was set back by less than ten minutes loses nothing");
+    }
+
+    #[test]
+    fn ends_that_a_wrong_clock_noted_in_the_future_are_forgotten_when_it_is_set_right() {
+        let mut ends = Ends::default();
+        for _ in 0..MANY {
+            ends.take(2_000_000_000);
+        }
+        assert!(ends.are_many(2_000_000_000));
+        assert!(!ends.are_many(1_800_000_000) && ends == Ends::default(), "{ends:?}");
+    }
+
+    #[test]
+    fn a_program_that_an_update_replaced_is_the_file_in_its_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let program = folder.path().join("starmesh");
+        let deleted = folder.path().join("starmesh (deleted)");
+        assert_eq!(replaced(deleted.clone()), deleted, "nothing stands in its place");
+        std::fs::write(&program, "").unwrap();
+        assert_eq!((replaced(deleted), replaced(program.clone())), (program.clone(), program));
     }
 
     #[test]

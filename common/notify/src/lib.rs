@@ -21,8 +21,10 @@ pub mod push;
 mod safe;
 pub mod secret;
 mod sending;
+mod silent_nodes;
 mod stand_in;
 
 pub use post::{TestSent, send_test};
 pub use sending::{keep_pinging, keep_sending};
+pub use silent_nodes::keep_noticing_silence;
 pub use stand_in::keep_substituting;

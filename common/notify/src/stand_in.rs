@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
-use bus::{Catch, MachineTime, Received};
+use bus::{Catch, MachineTime};
 use contract::node::NodeState;
 use contract::observatory::{AlertKind, Alerts, merge};
 use contract::{Address, Key, Name, NodeTopic, Part, Role, Scalar, Topic};
@@ -14,15 +14,14 @@ use units::Utc;
 
 use crate::push::Subscriptions;
 use crate::sending::{keep_pushing, keep_sending};
+use crate::silent_nodes::{LOST, keep_noticing_silence};
 
-/// Alerts are published every 10 s; a node that is silent for longer than this no longer sends.
+/// Alerts are published every 10 s; a node that is silent for longer than this is away.
 const SILENCE: Duration = Duration::from_secs(60);
 
 /// The observatory node that returns must receive the alert that it was missed, so that it can report the end to
 /// people.
 const HOLD: Duration = Duration::from_secs(30);
-/// A node publishes its state every 5 s.
-const LOST: Duration = Duration::from_secs(15);
 /// An observatory node that never published since this node began has so long to start, on a busy machine and with its first
 /// look at the devices.
 const START: Duration = Duration::from_secs(60);
@@ -34,6 +33,7 @@ const FIGURE: &str = "stands_in_after_s";
 
 /// Sends in its place while it is silent, for ever; does nothing where the configuration gives this task to nobody.
 ///
+/// The last alerts of another node that falls silent meanwhile hold until it is back, and its silence is an alert, too.
 /// Events that the silent node has sent are not sent again, and the node that returns receives the report of what this
 /// one sent. Of several nodes that stand in, those of the configured role come first, then those of the other one, since what
 /// ends the observatory node may end one role with it; of one role the node with the first name sends. Shared devices have no
@@ -56,6 +56,7 @@ pub async fn keep_substituting(node: Node, subscriptions: Option<Arc<Subscriptio
     }
     let (shown, alerts) = watch::channel(None);
     let (followed, pushed) = watch::channel(None);
+    let (silent, is_silent) = watch::channel(false);
     let pushing = async {
         match subscriptions {
             Some(subscriptions) => keep_pushing(node.clone(), subscriptions, pushed).await,
@@ -66,7 +67,8 @@ pub async fn keep_substituting(node: Node, subscriptions: Option<Arc<Subscriptio
     tokio::select! {
         result = keep_sending(node.clone(), alerts) => result,
         result = pushing => result,
-        result = keep_watching(&node, timeout, &shown, &followed) => result,
+        result = keep_noticing_silence(node.clone(), || *is_silent.borrow()) => result,
+        result = keep_watching(&node, timeout, &shown, &followed, &silent) => result,
     }
 }
 
@@ -124,9 +126,41 @@ impl Observatories {
     }
 }
 
+/// What the other nodes reported last. Pure: time comes in.
+#[derive(Default)]
+struct LastReports {
+    lists: BTreeMap<(Role, Name), (Alerts, MachineTime)>,
+    /// Those whose last state is that of an end in good order.
+    ended_well: BTreeSet<(Role, Name)>,
+}
+
+impl LastReports {
+    fn take(&mut self, who: (Role, Name), list: Alerts, arrived: MachineTime) {
+        if self.lists.len() < MOST_NODES || self.lists.contains_key(&who) {
+            self.lists.insert(who, (list, arrived));
+        }
+    }
+
+    fn observe(&mut self, who: (Role, Name), state: &NodeState) {
+        if !state.ended_well() {
+            self.ended_well.remove(&who);
+        } else if self.ended_well.len() < MOST_NODES {
+            self.ended_well.insert(who);
+        }
+    }
+
+    /// The alerts that hold. Silence takes nothing back: the shutter that a dead node could not close is still open. Only an end
+    /// in good order does, and an observatory node that sends (`others_know`): what it holds active is in its own list.
+    fn active(&mut self, others_know: bool, now: MachineTime) -> impl Iterator<Item = Alerts> {
+        let is_over = |who: &(Role, Name)| others_know || self.ended_well.contains(who);
+        self.lists.retain(|who, (_, arrived)| now.since(*arrived) <= SILENCE || !is_over(who));
+        self.lists.values().map(|(list, _)| list.clone())
+    }
+}
+
 /// Others that stand in, and send before this one.
+#[derive(Default)]
 struct Elders {
-    states: bus::Subscriber<NodeState>,
     received: BTreeMap<(Role, Name), MachineTime>,
 }
 
@@ -136,19 +170,11 @@ fn turn(first: Role, role: Role, id: &Name) -> (bool, &Name) {
 }
 
 impl Elders {
-    async fn listen(node: &Node) -> anyhow::Result<Self> {
-        let address = node.config.address();
-        let keys = Topic::Node(NodeTopic::State).at(&address);
-        Ok(Self { states: node.bus.subscribe(keys, Catch::Newest, 64).await?, received: BTreeMap::new() })
-    }
-
-    fn observe(&mut self, node: &Node, state: Received<NodeState>) {
-        let Key::Node(_, role, id, NodeTopic::State) = state.key else { return };
+    fn observe(&mut self, node: &Node, (role, id): (Role, Name), state: &NodeState, arrived: MachineTime) {
         let first = node.config.alerts.stand_in;
-        let body = &state.sample.body;
         let is_before = turn(first, role, &id) < turn(first, node.role, &node.id);
-        if is_before && body.figures.contains_key(FIGURE) && body.stopped.is_none() {
-            self.received.insert((role, id), state.arrived);
+        if is_before && state.figures.contains_key(FIGURE) && state.stopped.is_none() {
+            self.received.insert((role, id), arrived);
         } else {
             self.received.remove(&(role, id));
         }
@@ -163,19 +189,20 @@ impl Elders {
 /// Nodes of one telescope; more are the invention of a faulty program.
 const MOST_NODES: usize = 64;
 
-/// `shown` are the alerts while this node sends them; `followed` at any time.
+/// `shown` are the alerts while this node sends them; `followed` at any time. `silent` while the observatory nodes are.
 async fn keep_watching(
     node: &Node,
     timeout: Option<Duration>,
     shown: &watch::Sender<Option<Alerts>>,
     followed: &watch::Sender<Option<Alerts>>,
+    silent: &watch::Sender<bool>,
 ) -> anyhow::Result<()> {
     let address = node.config.address();
     let merged = node.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
     let nodes = node.bus.subscribe::<Alerts>(Topic::Node(NodeTopic::Alerts).at(&address), Catch::Newest, 256).await?;
-    let keys = Topic::Node(NodeTopic::State).at(&address).of_role(Role::Observatory);
-    let states = node.bus.subscribe::<NodeState>(keys, Catch::Newest, 64).await?;
-    let mut elders = Elders::listen(node).await?;
+    let states =
+        node.bus.subscribe::<NodeState>(Topic::Node(NodeTopic::State).at(&address), Catch::Newest, 256).await?;
+    let (mut elders, mut reports) = (Elders::default(), LastReports::default());
     let clock = node.bus.clock().clone();
     let mut last_silent: Option<MachineTime> = None;
     let mut silent_since: Option<MachineTime> = None;
@@ -187,11 +214,12 @@ async fn keep_watching(
         stopped: BTreeMap::new(),
     };
     let mut own = node.alerts.watch();
-    let mut received: BTreeMap<(Role, Name), (Alerts, MachineTime)> = BTreeMap::new();
     let instance = format!("{}/{}", Role::Observatory, address.telescope);
     loop {
         let now = clock.machine();
         let presence = observatories.presence(merged.get().map(|newest| newest.arrived), now);
+        let others_know = observatories.knows_all(presence, now);
+        silent.send_replace(presence == Presence::Silent);
         if presence == Presence::Silent {
             if now.since(*silent_since.get_or_insert(now)) >= FIRST_BEGIN {
                 let cause = format!(
@@ -208,27 +236,29 @@ async fn keep_watching(
         if presence != Presence::Silent && last_silent.is_none_or(|at| now.since(at) >= HOLD) {
             node.alerts.clear(AlertKind::NodeSilent, &instance);
         }
-        received.retain(|_, (_, arrived)| now.since(*arrived) <= SILENCE);
         let lists = std::iter::once(own.borrow_and_update().clone());
-        let active = merge(lists.chain(received.values().map(|(alerts, _)| alerts.clone())));
+        let active = merge(lists.chain(reports.active(others_know, now)));
         let last = merged.get().map(|last| last.sample.body);
         let in_its_place = in_its_place(active, last.clone().unwrap_or_default(), clock.utc());
         let others_send = presence == Presence::Sends || elders.are_there(now);
-        show(followed, if observatories.knows_all(presence, now) { last } else { Some(in_its_place.clone()) });
+        show(followed, if others_know { last } else { Some(in_its_place.clone()) });
         show(shown, (!others_send).then_some(in_its_place));
         tokio::select! {
             alerts = nodes.recv() => {
                 if let Key::Node(_, role, id, NodeTopic::Alerts) = alerts.key
                     && (role, &id) != (node.role, &node.id)
-                    && (received.len() < MOST_NODES || received.contains_key(&(role, id.clone())))
                 {
-                    received.insert((role, id), (alerts.sample.body, alerts.arrived));
+                    reports.take((role, id), alerts.sample.body, alerts.arrived);
                 }
             }
-            state = elders.states.recv() => elders.observe(node, state),
             state = states.recv() => {
-                if let Key::Node(_, _, id, NodeTopic::State) = state.key {
-                    observatories.take(id, &state.sample.body);
+                if let Key::Node(_, role, id, NodeTopic::State) = state.key {
+                    let body = &state.sample.body;
+                    if role == Role::Observatory {
+                        observatories.take(id.clone(), body);
+                    }
+                    reports.observe((role, id.clone()), body);
+                    elders.observe(node, (role, id), body, state.arrived);
                 }
             }
             changed = own.changed() => changed?,
@@ -271,10 +301,8 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn a_silent_observatory_node_is_noticed_and_one_that_was_stopped_is_no_fault_while_another_node_sends_at_once() {
-        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
-        let state = |stopped: Option<bool>| NodeState {
+    fn state(stopped: Option<bool>) -> NodeState {
+        NodeState {
             role: Role::Observatory,
             version: String::new(),
             host: String::new(),
@@ -283,7 +311,12 @@ mod tests {
             speed: 1.0,
             figures: BTreeMap::new(),
             stopped: stopped.map(|closed| Stopped { by: String::new(), closed: Some(closed) }),
-        };
+        }
+    }
+
+    #[test]
+    fn a_silent_observatory_node_is_noticed_and_one_that_was_stopped_is_no_fault_while_another_node_sends_at_once() {
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
         let of = |is_shared, states: &[(&str, Option<bool>)]| {
             let timeout = Some(Duration::from_secs(20));
             let mut known =
@@ -323,6 +356,27 @@ mod tests {
         let mut returns = of(false, &main);
         let seen = [(Presence::Sends, 1), (Presence::Silent, 100), (Presence::Sends, 129), (Presence::Sends, 130)];
         assert_eq!(seen.map(|(presence, s)| returns.knows_all(presence, at(s))), [true, false, false, true]);
+    }
+
+    #[test]
+    fn what_a_dead_node_reported_holds_until_it_is_known_better() {
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        let alerts = vec![AlertKind::DomeNotClosed.alert("dome", Utc::EPOCH, "c")];
+        for (name, states, others_know, is_kept) in [
+            ("its host lost power", &[None][..], false, true),
+            ("it has no state, as a guard process", &[], false, true),
+            ("it ended in good order", &[None, Some(true)], false, false),
+            ("it left the dome open", &[None, Some(false)], false, true),
+            ("it was started again", &[Some(true), None], false, true),
+            ("the observatory node sends", &[None], true, false),
+        ] {
+            let who = || (Role::Device, "enclosure".parse::<Name>().unwrap());
+            let mut reports = LastReports::default();
+            reports.take(who(), Alerts { alerts: alerts.clone(), ..Alerts::default() }, at(0));
+            states.iter().for_each(|stopped| reports.observe(who(), &state(*stopped)));
+            assert_eq!(reports.active(others_know, at(60)).count(), 1, "{name}: too soon");
+            assert_eq!(reports.active(others_know, at(61)).count(), usize::from(is_kept), "{name}");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use bus::Clock;
-use contract::{DeviceKind as _, NoData};
+use contract::DeviceKind as _;
 use serde_json::{Value, json};
 use units::Utc;
 
@@ -26,15 +26,17 @@ fn focuser(tolerance_steps: i64) -> Focuser {
 fn fields<D: Driver>(driver: &D, answers: &Value) -> Fields<D> {
     let mut readings = Readings::default();
     for (property, answer) in answers.as_object().unwrap() {
-        let refused = answer.get("ascom").map(|number| NoData::new(&format!("ascom {number}"), "not implemented"));
+        let refused = answer.get("ascom").and_then(Value::as_u64).map(|code| {
+            AlpacaError::Ascom { code: u32::try_from(code).unwrap(), message: "refused".to_owned() }.no_data()
+        });
         readings.keep(property, refused.map_or_else(|| Ok(answer.clone()), Err), Utc::EPOCH);
     }
     driver.fields(&readings)
 }
 
-/// In place of an answer: the driver refuses to give it.
+/// In place of an answer: the driver does not have it.
 fn ascom_error() -> Value {
-    json!({"ascom": 1024})
+    json!({"ascom": 0x400})
 }
 
 fn command<D: Driver>(command: &Value) -> Command<D> {
@@ -275,10 +277,44 @@ fn a_mount_has_arrived_when_it_rests_near_its_target_on_the_sky() {
     check_progress(&mount(), slew(0.0, 0.0), &rows);
     // An hour of right ascension is little at the pole.
     check_progress(&mount(), slew(0.0, 89.0), &[(at(1.0, 89.0, still.clone()), Settling(3.0))]);
-    let rows = [(json!({"AtPark": true}), Done), (json!({"AtPark": false}), Running), (json!({}), Running)];
+    let rows = [
+        (json!({"AtPark": true}), Done),
+        (json!({"AtPark": true, "Slewing": false, "Tracking": false}), Done),
+        (json!({"AtPark": true, "Slewing": ascom_error(), "Tracking": ascom_error()}), Done),
+        (json!({"AtPark": true, "Slewing": true}), Running),
+        (json!({"AtPark": true, "Slewing": false, "Tracking": true}), Running),
+        (json!({"AtPark": false}), Running),
+        (json!({}), Running),
+    ];
     check_progress(&mount(), json!("park"), &rows);
     let rows = [(json!({"Tracking": 1}), Done), (json!({"Tracking": "on"}), Running)];
     check_progress(&mount(), json!({"track": {"on": true}}), &rows);
+}
+
+#[test]
+fn what_a_mount_refuses_to_tell_is_taken_for_done_after_a_while_and_not_at_once() {
+    use Progress::{Running, Settling};
+    for refused in [ascom_error(), json!({"ascom": 0x500})] {
+        let parks =
+            |slewing: Value, tracking: Value| json!({"AtPark": refused, "Slewing": slewing, "Tracking": tracking});
+        let rows = [
+            (parks(json!(false), json!(false)), Settling(10.0)),
+            (parks(refused.clone(), refused.clone()), Settling(10.0)),
+            (parks(json!(true), json!(false)), Running),
+            (parks(json!(false), json!(true)), Running),
+            (json!({"AtPark": refused, "Slewing": false}), Running),
+            (json!({"Slewing": false, "Tracking": false}), Running),
+        ];
+        check_progress(&mount(), json!("park"), &rows);
+        check_progress(
+            &mount(),
+            json!("unpark"),
+            &[(json!({"AtPark": refused}), Settling(10.0)), (json!({}), Running)],
+        );
+        check_progress(&mount(), json!("abort"), &[(json!({"Slewing": refused}), Settling(10.0))]);
+        check_progress(&mount(), json!({"track": {"on": true}}), &[(json!({"Tracking": refused}), Settling(10.0))]);
+        check_progress(&mount(), json!({"track": {"on": false}}), &[(json!({"Tracking": refused}), Running)]);
+    }
 }
 
 #[test]

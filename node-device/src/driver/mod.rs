@@ -64,7 +64,7 @@ impl Progress {
     pub fn rests(moves: &Datum<bool>) -> Self {
         match moves.known() {
             Some(false) => Self::Done,
-            None if is_refused(moves) => Self::Settling(UNREADABLE_S),
+            None if moves.is_refused() => Self::Settling(UNREADABLE_S),
             Some(true) | None => Self::Running,
         }
     }
@@ -84,11 +84,6 @@ impl Progress {
 
 /// A command whose effect the driver refuses to tell is taken for done after so long, s of sky time.
 pub const UNREADABLE_S: f64 = 10.0;
-
-/// The driver answers with an error instead of a value: nobody will ever see there whether a command was done.
-pub fn is_refused<T>(datum: &Datum<T>) -> bool {
-    matches!(datum, Datum::Missing { no_data } if no_data.0.starts_with("ascom "))
-}
 
 /// What sending a command came to.
 #[derive(Debug, Clone, PartialEq)]

@@ -13,7 +13,7 @@ use contract::device::telescope::{
 use contract::{CommandId, Datum, Reason};
 use interlock::{Hinders, Need};
 
-use super::{Driver, Executed, Progress, UNREADABLE_S, apart_deg, is_refused, vendor, within};
+use super::{Driver, Executed, Progress, UNREADABLE_S, apart_deg, vendor, within};
 use crate::mount_sight::{MountSight, Ordered};
 use crate::now::Now;
 use crate::readings::Readings;
@@ -153,9 +153,15 @@ impl Telescope {
             }
             Command::Abort => alpaca.put("abortslew", &[]).await?,
             Command::Park => {
-                if fields.slewing.known() != Some(&false) {
+                let says_parked = fields.at_park.known() == Some(&true);
+                // One that says that it is parked while it slews is on its way there: an abort would leave it elsewhere.
+                if fields.slewing.known() != Some(&false) && !says_parked {
                     // Some mounts refuse to park while they slew; the park itself decides.
                     let _ = alpaca.put("abortslew", &[]).await;
+                }
+                if says_parked && fields.tracking.known() == Some(&true) {
+                    // A second park may do nothing.
+                    let _ = alpaca.put("tracking", &[("Tracking", "False")]).await;
                 }
                 alpaca.put("park", &[]).await?;
                 // The park goes on meanwhile, whatever becomes of this; what is left of rates, the next slew ends.
@@ -414,16 +420,27 @@ impl Driver for Telescope {
                 _ => Progress::Running,
             },
             // The next steps show whether it was done: a mount that is parked refuses to slew, and stars trail without tracking.
-            Command::Track { on: true } if is_refused(&fields.tracking) => Progress::Settling(UNREADABLE_S),
-            Command::Unpark if is_refused(&fields.at_park) => Progress::Settling(UNREADABLE_S),
+            Command::Track { on: true } if fields.tracking.is_refused() => Progress::Settling(UNREADABLE_S),
+            Command::Unpark if fields.at_park.is_refused() => Progress::Settling(UNREADABLE_S),
             Command::Track { on } => Progress::done_if(fields.tracking.known() == Some(on)),
             Command::Abort => Progress::rests(&fields.slewing),
-            Command::Park => Progress::done_if(fields.at_park.known() == Some(&true)),
+            Command::Park if fields.at_park.is_refused() => parks_unseen(fields),
+            Command::Park => Progress::done_if(fields.parked() == Some(true)),
             Command::Unpark => Progress::done_if(fields.at_park.known() == Some(&false)),
             Command::PulseGuide { .. } => Progress::done_if(fields.pulse_guiding.known() != Some(&true)),
             Command::Vendor(_) => Progress::Failed(vendor::UNANSWERED.to_owned()),
             Command::Sync { .. } | Command::Rates { .. } | Command::Claim => Progress::Done,
         }
+    }
+}
+
+/// How far the park is of a mount whose driver does not tell whether it is parked: in the end it neither slews nor tracks.
+fn parks_unseen(fields: &Fields) -> Progress {
+    let has_ended = |flag: &Datum<bool>| flag.known() == Some(&false) || flag.is_refused();
+    if has_ended(&fields.slewing) && has_ended(&fields.tracking) {
+        Progress::Settling(UNREADABLE_S)
+    } else {
+        Progress::Running
     }
 }
 

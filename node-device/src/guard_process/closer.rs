@@ -3,12 +3,13 @@
 
 use std::sync::Arc;
 
-use alpaca::{Alpaca, AlpacaError, http_client};
+use alpaca::{Alpaca, AlpacaError, http_client, value};
 use bus::MachineTime;
 use contract::device::dome::Shutter;
+use contract::device::telescope::Fields;
 use contract::observatory::AlertKind;
-use contract::{BootId, Chunk, Kind};
-use futures_util::future::join_all;
+use contract::{BootId, Chunk, Datum, Kind};
+use futures_util::future::{join, join_all};
 use interlock::guard::{Alarm, Settings};
 use interlock::watch::Who;
 use interlock::{CloserEffect, CloserEvent, KnownMounts, Request};
@@ -189,13 +190,27 @@ async fn shutter(alpaca: &Alpaca, connect: bool) -> Result<Shutter, AlpacaError>
 
 /// Whether a mount is parked; one that is not is asked to park where `orders` is true.
 async fn parked(mount: Alpaca, connect: bool, orders: bool) -> bool {
-    if get(&mount, connect, "atpark").await.is_ok_and(|answer| answer == serde_json::Value::Bool(true)) {
-        return true;
+    let mut fields = Fields { at_park: flag(get(&mount, connect, "atpark").await), ..Fields::default() };
+    if fields.parked() == Some(true) {
+        // Both at once: the first answer must not become too old to count.
+        let (slewing, tracking) = join(mount.get("slewing"), mount.get("tracking")).await;
+        (fields.slewing, fields.tracking) = (flag(slewing), flag(tracking));
     }
-    if orders && let Err(error) = close_request::put(&mount, connect, "park").await {
-        tracing::warn!(%error, "a mount was asked to park and refused");
+    let is_parked = fields.parked() == Some(true);
+    if orders && !is_parked {
+        if fields.tracking.known() == Some(&true) {
+            // It says that it is parked, and a second park may do nothing.
+            let _ = mount.put("tracking", &[("Tracking", "False")]).await;
+        }
+        if let Err(error) = close_request::put(&mount, connect, "park").await {
+            tracing::warn!(%error, "a mount was asked to park and refused");
+        }
     }
-    false
+    is_parked
+}
+
+fn flag(answer: Result<serde_json::Value, AlpacaError>) -> Datum<bool> {
+    answer.map_err(|error| error.no_data()).and_then(|answer| value::flag(&answer)).into()
 }
 
 impl Word {

@@ -142,8 +142,11 @@ async fn a_bare_close_moves_a_roof_only_over_its_parked_mount_and_has_it_parked(
     }
     tokio::time::sleep(Duration::from_secs(2)).await;
     assert_eq!(hardware.puts("closeshutter").len(), before, "the mount is not parked");
-    mount.answer("slewing", FakeAnswer::Value(json!(false)));
     mount.answer("atpark", FakeAnswer::Value(json!(true)));
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    assert_eq!(hardware.puts("closeshutter").len(), before, "it says that it is parked, and slews");
+    mount.answer("slewing", FakeAnswer::Value(json!(false)));
+    mount.answer("tracking", FakeAnswer::Value(json!(false)));
     until("the roof closes over the parked mount", || hardware.puts("closeshutter").len() > before).await;
     stage.end().await;
 }

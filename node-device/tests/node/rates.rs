@@ -41,7 +41,10 @@ pub async fn a_mount(takes_rates: bool) -> Fake {
     keep("rightascensionrate", "RightAscensionRate");
     keep("declinationrate", "DeclinationRate");
     keep("tracking", "Tracking");
-    mount.on("park", |mount, _| mount.answer("atpark", FakeAnswer::Value(json!(true))));
+    mount.on("park", |mount, _| {
+        mount.answer("atpark", FakeAnswer::Value(json!(true)));
+        mount.answer("tracking", FakeAnswer::Value(json!(false)));
+    });
     mount.on("slewtocoordinatesasync", |_, _| {});
     mount
 }

@@ -26,8 +26,10 @@ pub struct DomeSight {
 /// A mount as it is seen now.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MountSight {
-    /// It is at its park position.
+    /// It stands at its park position.
     pub parked: Option<bool>,
+    /// Its newest command is a park that was done, and its driver does not tell whether it is parked.
+    pub parked_unseen: bool,
     /// Moves to a target.
     pub slewing: Option<bool>,
     /// Follows the sky.
@@ -100,8 +102,9 @@ impl DomeSight {
 impl MountSight {
     /// Verified stopped, as far as this mount can.
     pub fn is_stopped(&self) -> bool {
-        let at_rest = self.tracking == Some(false) && self.slewing != Some(true);
-        self.parked == Some(true) || (self.cannot_park && at_rest)
+        let may_rest = self.tracking != Some(true) && self.slewing != Some(true);
+        let at_rest = self.tracking == Some(false) && may_rest;
+        self.parked == Some(true) || (self.parked_unseen && may_rest) || (self.cannot_park && at_rest)
     }
 }
 
@@ -206,7 +209,8 @@ mod tests {
     }
 
     fn mount(parked: Option<bool>) -> MountSight {
-        MountSight { parked, slewing: Some(false), tracking: Some(true), cannot_park: false, parking: false }
+        let (slewing, tracking) = (Some(false), Some(true));
+        MountSight { parked, parked_unseen: false, slewing, tracking, cannot_park: false, parking: false }
     }
 
     fn cover(cover: Option<Cover>) -> CoverSight {
@@ -263,6 +267,20 @@ mod tests {
         assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0)]);
         sight.mounts[0].parked = Some(true);
         assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0)]);
+    }
+
+    #[test]
+    fn a_mount_that_does_not_tell_whether_it_is_parked_is_parked_once_and_again_when_it_moves() {
+        let unseen = MountSight { parked_unseen: true, tracking: Some(false), ..mount(None) };
+        for (seen, is_stopped) in [
+            (unseen.clone(), true),
+            (MountSight { slewing: None, tracking: None, ..unseen.clone() }, true),
+            (MountSight { parked_unseen: false, ..unseen.clone() }, false),
+            (MountSight { slewing: Some(true), ..unseen.clone() }, false),
+            (MountSight { tracking: Some(true), ..unseen }, false),
+        ] {
+            assert_eq!(seen.is_stopped(), is_stopped, "{seen:?}");
+        }
     }
 
     #[test]

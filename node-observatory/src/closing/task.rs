@@ -147,12 +147,15 @@ pub(crate) fn look(
         let state = mount.instrument.fresh_reading("AtPark");
         let fields = state.as_ref().map(|state| &state.fields);
         let last = state.as_ref().and_then(|state| state.last_command.as_ref());
+        let park = last.filter(|last| last.verb == "park").map(|last| &last.outcome);
+        let tells = fields.is_none_or(|fields| !fields.at_park.is_refused());
         MountSight {
-            parked: fields.and_then(|fields| fields.at_park.known().copied()),
+            parked: fields.and_then(telescope::Fields::parked),
+            parked_unseen: !tells && park == Some(&CommandOutcome::Done),
             slewing: fields.and_then(|fields| fields.slewing.known().copied()),
             tracking: fields.and_then(|fields| fields.tracking.known().copied()),
             cannot_park: mount.instrument.can().is_some_and(|can| !can.park),
-            parking: last.is_some_and(|last| last.verb == "park" && last.outcome == CommandOutcome::Running),
+            parking: park == Some(&CommandOutcome::Running),
         }
     });
     let covers = devices.covers.iter().map(|cover| CoverSight {
@@ -181,7 +184,8 @@ async fn send(devices: &Devices, step: Step) -> Result<(), ActionError> {
             let fields = mount.instrument.fresh().map(|state| state.fields).unwrap_or_default();
             // One after the other, since a newer command ends the one before it; each for itself, since a mount
             // that cannot abort may well park.
-            if fields.slewing.known() != Some(&false) {
+            // One that says that it is parked while it slews is on its way there: an abort would leave it elsewhere.
+            if fields.slewing.known() != Some(&false) && fields.at_park.known() != Some(&true) {
                 stop_mount(mount, telescope::Command::Abort).await;
             }
             if fields.tracking.known() != Some(&false) {

@@ -87,6 +87,23 @@ pub const WRONG: &[Wrong] = &[
     ("upper = 12", "upper = inf", 41, &["WindSpeed", "finite"]),
     ("upper = 12", "upper = 12, dwell_min = -5", 41, &["dwell_min = -5", "0 to 1440"]),
     ("upper = 12", "upper = 12, max_age_s = 0", 41, &["max_age_s = 0", "more than 0"]),
+    ("upper = 12", "upper = 12, max_age_s = 3", 41, &["max_age_s = 3", "at least period_s = 5", "without a value"]),
+    (
+        "permit_valid_s = 10",
+        "[[switch]]\nname = \"ups\"\nserver = \"10.0.0.5:11111\"\nperiod_s = 120\n\
+         limit = [{ parameter = \"GetSwitchValue0\", lower = 50 }]",
+        32,
+        &["switch \"ups\": period_s = 120", "at most 60 s", "max_age_s of at least 120"],
+    ),
+    (
+        "permit_valid_s = 10",
+        "[[switch]]\nname = \"ups\"\nserver = \"10.0.0.5:11111\"\n\
+         limit = [{ parameter = \"GetSwitchValue0\", lower = 50, possible = [100, 0] }]",
+        32,
+        &["GetSwitchValue0", "possible = [100, 0]", "smallest value"],
+    ),
+    ("upper = 12", "upper = 12, possible = [0, 100]", 41, &["WindSpeed", "limits of a switch"]),
+    ("upper = 12", "upper = 12, possible = 100", 41, &["possible = 100", "two numbers"]),
     ("upper = 12", "upper = 12, of = \"max\"", 41, &["over_min"]),
     ("upper = 12", "upper = 12, of = \"mean\"", 41, &["of = \"mean\"", "\"value\" or \"max\" or \"rate\""]),
     ("\"WindSpeed\", upper = 12", "\"Temperature\", lower = 263", 41, &["Temperature", "lower = 263", "kelvin"]),

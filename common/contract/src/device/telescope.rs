@@ -98,6 +98,16 @@ pub struct Fields {
     pub beyond_limit: Option<BeyondLimit>,
 }
 
+impl Fields {
+    /// Does the mount stand at its park position? `None` where `AtPark` is not known. Some drivers report it as soon as
+    /// they accept `Park`: a mount that is known to slew, to track or to be beyond a limit is not parked. What is not
+    /// known of these does not count against it.
+    pub fn parked(&self) -> Option<bool> {
+        let moves = [&self.slewing, &self.tracking].iter().any(|flag| flag.known() == Some(&true));
+        self.at_park.known().map(|at_park| *at_park && !moves && self.beyond_limit.is_none())
+    }
+}
+
 /// A mount that tracks beyond a limit.
 #[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct BeyondLimit {
@@ -190,4 +200,33 @@ pub enum Command {
 
 impl Payload for Command {
     const NAME: &'static str = "telescope.command";
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NoData;
+
+    #[test]
+    fn a_mount_is_parked_that_says_so_and_is_not_known_to_move() {
+        let flag = |value: Option<bool>| value.map_or(Datum::missing(NoData::not_implemented()), Datum::Known);
+        for (at_park, slewing, tracking, parked) in [
+            (Some(true), Some(false), Some(false), Some(true)),
+            (Some(true), None, None, Some(true)),
+            (Some(true), Some(true), Some(false), Some(false)),
+            (Some(true), Some(true), None, Some(false)),
+            (Some(true), Some(false), Some(true), Some(false)),
+            (Some(true), None, Some(true), Some(false)),
+            (Some(false), Some(false), Some(false), Some(false)),
+            (None, Some(false), Some(false), None),
+            (None, Some(true), Some(true), None),
+        ] {
+            let (at_park, slewing, tracking) = (flag(at_park), flag(slewing), flag(tracking));
+            let fields = Fields { at_park, slewing, tracking, ..Fields::default() };
+            assert_eq!(fields.parked(), parked, "{fields:?}");
+        }
+        let beyond = BeyondLimit { why: "altitude 19 deg, the limit is 20 deg".to_owned(), not_stopped: true };
+        let fields = Fields { at_park: Datum::Known(true), beyond_limit: Some(beyond), ..Fields::default() };
+        assert_eq!(fields.parked(), Some(false));
+    }
 }

@@ -145,6 +145,9 @@ catalogue! {
     /// No alert reaches this address: it does not answer, refuses, or its password is wrong. The cause quotes
     /// its answer. All other receivers get their alerts, and this alert too.
     AlertNotSent: network::ALERT_NOT_SENT,
+    /// No alert reaches this browser or phone: its push service does not take it. The cause quotes the answer. All other
+    /// receivers get their alerts.
+    PushNotSent: network::PUSH_NOT_SENT,
     /// What people acknowledged and shelved cannot be written down.
     AlertsNotSaved: records::ALERTS_NOT_SAVED,
     /// A frame was exposed and never announced by the camera's device node.

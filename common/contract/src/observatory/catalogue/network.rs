@@ -75,6 +75,16 @@ pub(super) const ALERT_NOT_SENT: AlertEntry = AlertEntry {
     ..HIGH
 };
 
+/// Whoever subscribes a device names its push service: that it does not answer wakes nobody.
+pub(super) const PUSH_NOT_SENT: AlertEntry = AlertEntry {
+    word: "push-not-sent",
+    instance: "RECEIVER",
+    priority: Priority::Medium,
+    consequence: "The person gets no alerts on that device.",
+    action: "On the device, switch the alerts off and on again in the settings of the page. It is tried again by itself.",
+    ..PLAIN
+};
+
 pub(super) const CONFIGURATION: AlertEntry = AlertEntry {
     word: "configuration",
     instance: "KEY",
