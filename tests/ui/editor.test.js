@@ -481,6 +481,17 @@ test("a draft that somebody else has stored stays when another text is activated
   await bus.put({ [key]: state });
 });
 
+test("a schedule that cannot be read is not taken for none", TEST, async () => {
+  await page?.close();
+  page = await newPage(browser, { reducedMotion: "reduce", ...WIDE });
+  await page.route(`**/api/v1/telescopes/${ID}/schedule`, (route) => route.fulfill({ status: 504, json: { detail: "demo/alpha: it has 3000000 bytes." } }));
+  await page.goto(`${bus.url}/t/${ID}/schedule`);
+  await settled(page);
+  await button("Edit a draft").click();
+  await page.getByText(/The schedule cannot be read.*3000000 bytes/s).waitFor();
+  assert.equal(await area().count(), 0);
+});
+
 test("a file that is no UTF-8 is refused, and a dialog stays open when a text is marked beyond its edge", TEST, async () => {
   await open();
   const before = await draft();

@@ -1,5 +1,5 @@
 //! `cool_camera` before the simulated camera: a cooler that refuses is asked again, and a sensor that stays too warm
-//! fails its row, exposes nothing, and raises an alert that is active until the sensor is cold.
+//! lets its row rest, exposes nothing, and raises an alert that is active until the sensor is cold.
 
 use contract::observatory::{Alerts, RowStatus};
 use contract::{Address, CommandId, Key, Order, OrderKind, Part, Reply};
@@ -44,8 +44,8 @@ async fn a_cooler_that_refuses_is_asked_again_until_it_runs() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_sensor_that_stays_warm_fails_its_row_and_is_reported_until_it_is_cold() {
-    let mut sim = Sim::with(telescope(20.0), "", IMPATIENT, &[]).await;
+async fn a_sensor_that_stays_warm_lets_its_row_rest_and_is_reported_until_it_is_cold() {
+    let mut sim = Sim::with(telescope(20.0), "[faults]\nrest_s = 2\n", IMPATIENT, &[]).await;
     let key = Key::Observatory(Address::new("test", "alpha").unwrap(), Part::Alerts);
     let alerts = sim.bus.latest::<Alerts>(&key).await.unwrap();
     let stands = || {
@@ -55,14 +55,15 @@ async fn a_sensor_that_stays_warm_fails_its_row_and_is_reported_until_it_is_cold
     // 45 K below such air the sensor is at 10 C.
     sim.simulator.world().set_weather(Quantity::Temperature, Some(55.0));
     sim.start().await;
-    sim.until("given up", MOST, |sim| row(sim, 0).is_some_and(|(status, _)| status == RowStatus::Failed)).await;
+    let rests = |sim: &Sim| row(sim, 0).filter(|(status, _)| *status == RowStatus::Interrupted);
+    sim.until("it rests", MOST, |sim| rests(sim).is_some_and(|(_, detail)| detail.contains("tried again at"))).await;
     let (_, detail) = row(&sim, 0).unwrap();
     assert!(detail.contains("-10") && detail.contains(" C"), "what was wanted, and how warm it is: {detail}");
     sim.until("reported", MOST, |_| stands()).await;
     assert_eq!(exposures(&sim), 0, "nothing is exposed by a warm sensor");
 
     sim.simulator.world().set_weather(Quantity::Temperature, Some(5.0));
-    sim.until("the next row, which cools by itself", MOST, |sim| sim.ended(1).is_some()).await;
+    sim.until("both rows, each when it is cold", MOST, |sim| sim.ended(0).is_some() && sim.ended(1).is_some()).await;
     assert_eq!(exposures(&sim), 2);
     sim.until("reported no more", MOST, |_| !stands()).await;
     sim.stop().await;

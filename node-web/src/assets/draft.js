@@ -82,7 +82,7 @@ export function draftOf(id) {
   })().catch((error) => { reading = null; throw error; }));
   /** As the editor opens: what nobody has changed here is read again, since somebody else may have. */
   const begin = () => {
-    if (isStored.peek() && !theirs.peek()) reading = null;
+    if (isStored.value && !theirs.peek()) reading = null;
     return read();
   };
 

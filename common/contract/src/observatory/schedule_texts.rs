@@ -36,7 +36,7 @@ pub struct ScheduleTexts {
     /// The versions that were asked for, the newest first; of a text its own, where it is stored as one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub versions: Vec<ScheduleVersion>,
-    /// Why there is no text or no list.
+    /// Why a text or a list that there is cannot be given. Absent where there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub problem: Option<String>,
 }
