@@ -44,9 +44,11 @@ impl Readings {
         }
     }
 
-    /// Every property that is polled is missing now, for one reason; what does not change stays.
+    /// Every property that is polled is missing now, for one reason; what does not change stays, also that the device does not
+    /// have a property: it is not asked again.
     pub fn drop_polled(&mut self, reason: &NoData, at_utc: Utc) {
-        for stored in self.answers.values_mut().filter(|stored| stored.asked.is_some()) {
+        let absent = Err(NoData::not_implemented());
+        for stored in self.answers.values_mut().filter(|stored| stored.asked.is_some() && stored.answer != absent) {
             *stored = StoredAnswer { answer: Err(reason.clone()), at_utc, asked: None };
         }
     }
@@ -220,12 +222,14 @@ mod tests {
         let mut readings = Readings::default();
         readings.keep_asked("IsSafe", Ok(json!(true)), Utc::EPOCH, asked);
         readings.keep("Name", Ok(json!("x")), Utc::EPOCH);
+        readings.keep_asked("AtPark", Err(NoData::not_implemented()), Utc::EPOCH, asked);
         let age_s = |readings: &Readings, name: &str, now| readings.published(Kind::SafetyMonitor, at(now))[name].age_s;
         assert_eq!((age_s(&readings, "IsSafe", 100), age_s(&readings, "IsSafe", 112)), (Some(0.0), Some(12.0)));
         assert_eq!(age_s(&readings, "Name", 112), None);
         readings.drop_polled(&NoData::new("stale", "x"), Utc::EPOCH);
         assert_eq!((age_s(&readings, "IsSafe", 112), readings.flag("IsSafe").known()), (None, None));
         assert_eq!(readings.text("Name"), Datum::Known("x".to_owned()));
+        assert_eq!(readings.flag("AtPark"), Datum::missing(NoData::not_implemented()), "nobody asks for it again");
     }
 
     #[test]
