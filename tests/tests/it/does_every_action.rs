@@ -165,10 +165,8 @@ async fn account(harness: &Harness) -> anyhow::Result<()> {
     };
     harness.until(&format!("{} frames with whole headers", begun.len()), 60.0, whole).await?;
     let archived = archived_frames(harness)?;
-    let events: Vec<(i64, bool)> = archived
-        .iter()
-        .map(|it| ((it.frame.exposure_s * 1000.0).round() as i64, is_light(&it.frame.purpose.image_type)))
-        .collect();
+    let events: Vec<(i64, bool)> =
+        archived.iter().map(|it| ((it.frame.exposure_s * 1000.0).round() as i64, is_light(&it.frame))).collect();
     assert_eq!(events, begun, "one after another, as the simulator exposed them");
     let files: BTreeSet<_> = harness.fits().into_iter().collect();
     let of_rows: BTreeSet<_> = archived.iter().map(|it| harness.path("images").join(&it.file)).collect();
@@ -209,8 +207,9 @@ fn went_as_planned(rows: &[RowState], plan: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn is_light(image_type: &str) -> bool {
-    !matches!(image_type, "Bias Frame" | "Dark Frame")
+/// The level without light that flats begin with is a test frame of no exposure.
+fn is_light(frame: &Frame) -> bool {
+    frame.exposure_s > 0.0 && !matches!(&*frame.purpose.image_type, "Bias Frame" | "Dark Frame")
 }
 
 #[tokio::test(flavor = "multi_thread")]
