@@ -98,7 +98,7 @@ async function fromDisk(node, url, at) {
 /** What a page must never do: errors of the console, of scripts and of the security policy, and requests to other origins. */
 export function problemsOf(page) {
   const problems = [];
-  page.on("console", (message) => ["error", "warning"].includes(message.type()) && !/blocked by Playwright/.test(message.text()) && problems.push(`${page.url()}: ${message.text()}`));
+  page.on("console", (message) => ["error", "warning"].includes(message.type()) && !/blocked by Playwright/.test(message.text()) && problems.push(`${page.url()}: ${message.text()}${message.location().url ? ` (${message.location().url})` : ""}`));
   page.on("pageerror", (error) => problems.push(`${page.url()}: ${error.stack ?? error}`));
   page.on("request", (request) => {
     const { origin, protocol } = new URL(request.url());
