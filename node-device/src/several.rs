@@ -164,13 +164,7 @@ async fn run_once(options: &NodeOptions, id: &str, stop: &Stop) -> Result<bool, 
     let mut child = spawned.map_err(|error| format!("it was not started: {error:#}"))?;
     // Waiting would close it, and the node would take that for our end.
     let lifeline = child.stdin.take();
-    let running = async {
-        tokio::select! {
-            ended = child.wait() => Some(ended),
-            () = watchdog::hung(&watchdog) => None,
-        }
-    };
-    let Some(ended) = stop.or(running).await else {
+    let Some(ended) = stop.or(watchdog::ended(&mut child, &watchdog)).await else {
         child::ask_to_end(&mut child);
         let ended = tokio::time::timeout(END_LIMIT + Duration::from_secs(10), child.wait()).await;
         drop(lifeline);

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use bus::Clock;
 use config::Observatory;
-use contract::observatory::{ActionNow, AlertKind};
+use contract::observatory::{ActionNow, AlertKind, RowState};
 use schedule::plan::{Figure, Overheads, TimedPart};
 use units::Utc;
 
@@ -95,7 +95,7 @@ pub fn overdue<'a>(
     actions.filter_map(move |action| {
         let by = action.expected_by_utc.filter(|by| *by < now)?.strftime("%H:%M:%S");
         let ActionNow { row, action, camera, step, .. } = action;
-        let row = row.saturating_add(1);
+        let row = RowState::told(*row);
         let cause = format!("row {row} ({action}): \"{step}\" should have ended by {by} UTC");
         Some((AlertKind::StepOverdue, camera.clone(), cause))
     })

@@ -47,6 +47,7 @@ mod in_words;
 mod json_body;
 mod model;
 mod network;
+mod place;
 mod plain_errors;
 mod preview;
 mod problem;
@@ -103,7 +104,8 @@ pub async fn run(node: node::Node) -> anyhow::Result<()> {
     let address = listener.local_addr()?;
     let authentication = Authentication::new(web)?;
 
-    let network = Arc::new(network::Network::new(node.bus.clock().clone(), node.config.address()));
+    let network = network::Network::new(node.bus.clock().clone(), node.config.address());
+    let network = Arc::new(network.with_site(node.config.place.clone()));
     let previews = Arc::new(preview::Previews::new(network.clone())?);
     let host = Arc::new(host::Host::default());
     let mut tasks = JoinSet::new();

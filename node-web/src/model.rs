@@ -53,6 +53,8 @@ pub struct Model {
     pub revision: u64,
     /// The telescope of this node's own file: there is always room for it.
     expected: Option<Address>,
+    /// Where this node's own file says that its site is.
+    pub own_site: Option<config::Place>,
     weight: usize,
     /// When all room was found to be in use.
     full: Option<MachineTime>,

@@ -29,6 +29,12 @@ impl Network {
         Self { clock, model: RwLock::new(Model::new(expected)), summaries: Mutex::default() }
     }
 
+    /// The same with a place for its own site.
+    pub fn with_site(self, own_site: config::Place) -> Self {
+        self.write().own_site = Some(own_site);
+        self
+    }
+
     /// The clock that ages are judged by.
     pub fn clock(&self) -> &Clock {
         &self.clock

@@ -128,11 +128,7 @@ impl Previews {
         let cameras = made.get(address)?;
         match camera {
             Some(camera) => cameras.iter().find(|(name, _)| name.as_str() == camera).map(|(_, jpeg)| jpeg.clone()),
-            // Whoever was told of an image a moment ago gets one, also where it is not displayed any more.
-            None => {
-                let shown = cameras.values().find(|jpeg| Some(&jpeg.frame) == displayed.as_ref());
-                shown.or_else(|| cameras.values().next()).cloned()
-            }
+            None => cameras.values().find(|jpeg| Some(&jpeg.frame) == displayed.as_ref()).cloned(),
         }
     }
 

@@ -22,6 +22,7 @@ use crate::alerts::{Counts, about, active, stopped};
 use crate::domes;
 use crate::freshness::Quality;
 use crate::model::{Entry, Model, Telescope, Unreadable};
+use crate::place::{self, PlaceOnEarth};
 
 /// A tile of the overview, and the head of the telescope page.
 #[derive(Debug, Clone, JsonSchema, Serialize)]
@@ -43,6 +44,9 @@ pub struct Face {
     pub site_id: Chunk,
     /// The telescope, unique within its site.
     pub telescope_id: Chunk,
+    /// Where it stands; absent until a mount of its site says so, where this server's file is of another site.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub place: Option<PlaceOnEarth>,
     /// Not a telescope but the devices that a site's telescopes share.
     pub shared: bool,
     /// Quality of the observatory node's payloads.
@@ -326,6 +330,7 @@ impl Summary {
             id: address.to_string(),
             site_id: address.site.clone(),
             telescope_id: address.telescope.clone(),
+            place: place::of(model, address).map(|(place, _)| PlaceOnEarth::from(&place)),
             shared,
             quality,
             concern: match quality {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use clap::{Args, Subcommand};
-use contract::observatory::{RowStatus, ScheduleDraft, ScheduleFindings, ScheduleState};
+use contract::observatory::{RowState, RowStatus, ScheduleDraft, ScheduleFindings, ScheduleState};
 use contract::{Key, OrderKind, Part};
 use node_observatory::schedule_file::versions::Versions;
 use schedule::read_text;
@@ -164,7 +164,7 @@ fn row_lines(schedule: &ScheduleState) -> Vec<String> {
     cells.extend(schedule.rows.iter().map(|row| {
         let wanted = row.frames_wanted.map(|wanted| format!("/{wanted}")).unwrap_or_default();
         vec![
-            row.row.saturating_add(1).to_string(),
+            RowState::told(row.row).to_string(),
             status_word(row.status).to_owned(),
             row.action.clone(),
             row.object.clone().unwrap_or_default(),

@@ -178,13 +178,7 @@ impl NodeProcess {
         };
         // `wait` would close it, and the node would take that for our end.
         let lifeline = child.stdin.take();
-        let running = async {
-            tokio::select! {
-                ended = child.wait() => Some(ended),
-                () = watchdog::hung(&watchdog) => None,
-            }
-        };
-        let Some(ended) = stop.or(running).await else {
+        let Some(ended) = stop.or(watchdog::ended(&mut child, &watchdog)).await else {
             drop(lifeline);
             if let Err(error) = end(child, self.end_within()).await {
                 node::lines::complain(format_args!("starmesh: the {} node {}: {error:#}", self.role, self.id));

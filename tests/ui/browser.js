@@ -55,6 +55,9 @@ export async function becomes(read, wanted, told = "") {
   }
 }
 
+/** Where an element is once it has a place; what is drawn anew has none for a moment, and maybe another one then. */
+export const boxOf = (element) => becomes(() => element.boundingBox(), Boolean, "it has a place on the page");
+
 /** The address that a page shows. */
 export const addressOf = (page) => { const { pathname, searchParams } = new URL(page.url()); return { pathname, ...Object.fromEntries(searchParams) }; };
 

@@ -3,7 +3,7 @@
 import { test } from "node:test";
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { TEST, becomes, looks, newPage, problemsOf, settled, startRecorded, tooWide, withBrowser } from "./browser.js";
+import { TEST, becomes, boxOf, looks, newPage, problemsOf, settled, startRecorded, tooWide, withBrowser } from "./browser.js";
 
 const ID = "demo/alpha";
 const WIDE = { viewport: { width: 1280, height: 1000 } };
@@ -53,8 +53,6 @@ async function write(text, rows) {
   await becomes(() => page.locator('[data-testid="draft-bar"]').count(), rows, "each row has its bar");
 }
 
-/** Where an element is once it has a place. */
-const boxOf = (element) => becomes(() => element.boundingBox(), Boolean, "it has a place on the page");
 /** Pixels of an hour on the timeline. */
 const hourPx = async () => {
   const line = page.getByTestId("draft-line");
@@ -499,7 +497,7 @@ test("a file that is no UTF-8 is refused, and a dialog stays open when a text is
   await page.getByText("night.jsonl is no text in UTF-8; save it as UTF-8, and upload it again.").waitFor();
   assert.equal(await draft(), before);
   await page.getByTestId("add-row").click();
-  const box = await page.locator("dialog h2").first().boundingBox();
+  const box = await boxOf(page.locator("dialog h2").first());
   await page.mouse.move(box.x + 5, box.y + box.height / 2);
   await page.mouse.down();
   await page.mouse.move(3, 3);

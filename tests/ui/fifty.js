@@ -13,7 +13,7 @@ function telescope(n) {
   const alert = (priority, cause) => [{ id: `${priority}-${n}`, priority, raised_utc: UTC, cause, consequence: "Something may happen.", action: "Look at it." }];
   const alerts = { 17: alert("critical", "dome is not verified closed 90 s after the close command."), 31: alert("high", "The mount is lost."), 44: alert("medium", "The focus run of camera found no curve.") }[n] ?? [];
   return {
-    id, site_id, telescope_id, shared: false, quality: "fresh",
+    id, site_id, telescope_id, place: { latitude_deg: -29.2, longitude_deg: -70.7, elevation_m: 2400 }, shared: false, quality: "fresh",
     safety: isWindy ? { state: "unsafe", since_utc: UTC, reasons: [{ input: "weather/WindSpeed", why: "17.3 m/s is above 15 m/s", clears_in_s: null }], suspended: [], advisories: [] } : { state: "safe", since_utc: UTC, reasons: [], suspended: [], advisories: [] },
     posture: isWindy && n !== 17 ? "closed" : "open", mode: "robotic", simulated: false, speed: 1, ended: false,
     activity: isWindy ? [] : [{ row: 2, action: n % 11 ? "object" : "autofocus", camera: "camera", object: n % 11 ? ["WASP-18", "TRAPPIST-1", "a name of a field that is long, NGC 2516 east"][n % 3] : null, step: `exposing ${n} of 60, 60 s, V`, started_utc: UTC }],
@@ -60,7 +60,6 @@ export async function serveFifty(page, count = 50) {
   });
   await page.route(/\/api\/v1\/telescopes\//, (route) => {
     const { pathname } = new URL(route.request().url());
-    if (pathname.endsWith("/sky")) return route.fulfill({ json: { place: { latitude_deg: -29.2, longitude_deg: -70.7 } } });
     if (pathname.endsWith("/report")) return route.fulfill({ json: { timeline: [{ from_utc: "2026-11-27T00:40:00Z", to_utc: "2026-11-27T02:20:00Z", group: "open_shutter", kind: "exposing" }] } });
     if (pathname.endsWith("/image.jpg")) {
       images.push(decodeURIComponent(pathname.split("/").slice(4, 6).join("/")));

@@ -2,7 +2,7 @@
 import { test, beforeEach } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, becomes, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
+import { TEST, becomes, boxOf, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
 
 const WIDE = { width: 1280, height: 900 };
 const PHONE = { width: 390, height: 844 };
@@ -119,12 +119,12 @@ test("a phone has the whole switch of the view, what to do, and one Close of a t
     const lines = await banner.locator("p").evaluate((one) => one.getBoundingClientRect().height / parseFloat(getComputedStyle(one).lineHeight));
     assert.ok(lines < 3.5, `${address}: the text of the bar has ${lines} lines`);
     await becomes(() => page.locator('[data-testid="close"][aria-label="Close ridge/delta"]:visible').count(), 1, address);
-    const box = await page.locator('[data-testid="close"][aria-label="Close ridge/delta"]:visible').boundingBox();
+    const box = await boxOf(page.locator('[data-testid="close"][aria-label="Close ridge/delta"]:visible'));
     assert.ok(box.y >= 0 && box.y + box.height <= PHONE.height, `${address}: Close is in view without scrolling`);
   }
   await open("/", PHONE);
   for (const name of ["Cards", "Compact"]) {
-    const box = await page.getByRole("button", { name, exact: true }).boundingBox();
+    const box = await boxOf(page.getByRole("button", { name, exact: true }));
     assert.ok(box.x >= 0 && box.x + box.width <= PHONE.width, `${name} is cut: ${JSON.stringify(box)}`);
   }
 });
@@ -136,7 +136,7 @@ test("the words of a card stand in one line, simulated or not", TEST, async () =
     const tops = await tile("ridge/gamma").locator(".word, .mode:not(.sim)").evaluateAll((all) => all.map((one) => { const { top, bottom } = one.getBoundingClientRect(); return (top + bottom) / 2; }));
     assert.equal(tops.length, 3);
     assert.ok(Math.max(...tops) - Math.min(...tops) < 6, `${viewport.width} px: ${tops}`);
-    const [badge, name] = await Promise.all([".mode.sim", ".tile-h b"].map((part) => tile("ridge/gamma").locator(part).boundingBox()));
+    const [badge, name] = await Promise.all([".mode.sim", ".tile-h b"].map((part) => boxOf(tile("ridge/gamma").locator(part))));
     assert.ok(Math.abs(badge.y + badge.height / 2 - name.y - name.height / 2) < 6, "SIMULATION stands beside the name");
   }
 });

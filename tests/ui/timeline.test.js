@@ -2,7 +2,7 @@
 import { test } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, addressOf, becomes, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
+import { TEST, addressOf, becomes, boxOf, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
 
 const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true };
 
@@ -21,9 +21,6 @@ async function open(address, options = {}) {
 /** The part of the time that is shown, ms. */
 const shown = (part) => part.evaluate(({ dataset }) => [Number(dataset.from), Number(dataset.to)]);
 const length = ([from, to]) => to - from;
-
-/** Where an element is; a chart that is drawn anew has another one a moment later. */
-const boxOf = (element) => becomes(() => element.boundingBox(), Boolean, "it has a place on the page");
 
 /** Waits until the part of the time meets a condition, and gives it. */
 const until = (part, met, told) => becomes(() => shown(part), met, told);

@@ -4,7 +4,10 @@
 //! process that it starts; systemd does the same with `WatchdogSec`.
 
 use std::path::{Path, PathBuf};
+use std::process::ExitStatus;
 use std::time::Duration;
+
+use tokio::process::Child;
 
 /// The variable with the socket, as systemd calls it.
 pub const SOCKET: &str = "NOTIFY_SOCKET";
@@ -122,11 +125,17 @@ impl Watchdog {
     }
 }
 
-/// Returns when the process hangs; never for one that has no watchdog.
-pub async fn hung(watchdog: &std::io::Result<Watchdog>) {
-    match watchdog {
-        Ok(watchdog) => watchdog.hung().await,
-        Err(_) => std::future::pending().await,
+/// Waits until a process ends, or hangs: `None`. Without a watchdog nobody notices that it hangs.
+pub async fn ended(child: &mut Child, watchdog: &std::io::Result<Watchdog>) -> Option<std::io::Result<ExitStatus>> {
+    let hung = async {
+        match watchdog {
+            Ok(watchdog) => watchdog.hung().await,
+            Err(_) => std::future::pending().await,
+        }
+    };
+    tokio::select! {
+        ended = child.wait() => Some(ended),
+        () = hung => None,
     }
 }
 

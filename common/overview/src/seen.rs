@@ -104,7 +104,7 @@ impl Seen<'_> {
     /// Why a row that is next does not run.
     fn waiting(&self, row: &RowState) -> String {
         let object = row.object.as_ref().map(|object| format!(" {object}")).unwrap_or_default();
-        let what = format!("row {}, {}{object}", row.row.saturating_add(1), row.action);
+        let what = format!("row {}, {}{object}", RowState::told(row.row), row.action);
         if let Some(now) = self.now.filter(|now| row.start_utc > *now) {
             let left = length(row.start_utc.seconds_since(now));
             return format!("waits for {what}, which starts at {} (in {left})", row.start_utc.to_second());

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use contract::CommandId;
 use contract::device::camera::Subframe;
+use contract::observatory::RowState;
 use schedule::RowId;
 use schedule::action::parameters::FocusWanted as Focus;
 use schedule::flats::exposure::{Level, Light, Seen, Want};
@@ -325,7 +326,7 @@ fn unmeasured(context: &RowContext, why: &str) -> Result<ActionError, ActionErro
 }
 
 fn none(context: &RowContext) -> ActionError {
-    ActionError::Impossible(format!("row {} has no such filter", context.index.saturating_add(1)))
+    ActionError::Impossible(format!("row {} has no such filter", RowState::told(context.index)))
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use contract::observatory::RowStatus;
+use contract::observatory::{RowState, RowStatus};
 use contract::{Order, OrderedRow};
 use schedule::{Row, RowId};
 use tokio::sync::{mpsc, watch};
@@ -131,9 +131,8 @@ impl OrderedRows {
     }
 }
 
-/// As people count rows.
 fn told(ordered: &OrderedRow) -> String {
-    format!("row {}", ordered.row.saturating_add(1))
+    format!("row {}", RowState::told(ordered.row))
 }
 
 fn ending(status: RowStatus) -> &'static str {

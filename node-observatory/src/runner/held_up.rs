@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use contract::Kind;
-use contract::observatory::AlertKind;
+use contract::observatory::{AlertKind, RowState};
 use node::NodeAlerts;
 use schedule::RowId;
 
@@ -80,9 +80,8 @@ impl HeldUp {
     }
 }
 
-/// As people count rows: the first is 1.
 fn told(number: u32) -> String {
-    format!("row {}", number.saturating_add(1))
+    format!("row {}", RowState::told(number))
 }
 
 #[cfg(test)]

@@ -275,6 +275,7 @@ impl Runner {
         if skipped.is_some() || !matches!(end, RowEnd::Postponed { .. }) {
             self.postponed.remove(id, &self.tools.authority.node.alerts);
         }
+        let is_written = skipped.is_some() && !matches!(end, RowEnd::Finished(_));
         let (status, detail) = match end {
             RowEnd::Finished(detail) => (RowStatus::Finished, detail),
             _ if let Some(why) = skipped => (RowStatus::Skipped, why),
@@ -302,7 +303,7 @@ impl Runner {
         if let Some(index) = self.sequence.end(id, status) {
             self.show(index, status, detail.clone());
         }
-        if status == RowStatus::Interrupted {
+        if is_written || status == RowStatus::Interrupted {
             return;
         }
         // It counts before a new lease asks the journal which rows are left; only the disk is waited for elsewhere.

@@ -57,14 +57,18 @@ export function draftOf(id) {
   };
   const orElse = (nothing) => (error) => { if (error.status !== 404) throw error; return nothing; };
   const atServer = () => ask(name).catch(orElse(null));
+  /** The text is that of the schedule in force. */
+  const asInForce = () => {
+    text.value = inForce.peek().text;
+    basedOn.value = inForce.peek().etag;
+    keep();
+  };
   /** Reads what is in force; a draft that nobody has changed is the schedule in force, whichever that is. */
   const readInForce = async () => {
     const before = inForce.peek();
     inForce.value = await textAt(base(id)).catch(orElse({ text: "", etag: "" }));
     if (!before || stored.peek() || theirs.peek() || text.peek() !== before.text || past.peek().length + future.peek().length) return;
-    text.value = inForce.peek().text;
-    basedOn.value = inForce.peek().etag;
-    keep();
+    asInForce();
   };
 
   /** Reads it, once; what this tab has kept is newer than what is stored. */
@@ -157,9 +161,7 @@ export function draftOf(id) {
     stored.value = null;
     past.value = future.value = [];
     await readInForce();
-    text.value = inForce.peek().text;
-    basedOn.value = inForce.peek().etag;
-    keep();
+    asInForce();
     if (last?.text === sent) await remove(last.etag);
   };
   const bring = (old, number) => {

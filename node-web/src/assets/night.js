@@ -5,7 +5,7 @@ import { altaz, moon, twilight } from "./astro.js";
 import { clock, hourMinute, number } from "./format.js";
 import { inputWords } from "./inputs.js";
 import { standing } from "./parts.js";
-import { useSite } from "./site.js";
+import { siteOf } from "./site.js";
 import { net, useTopic } from "./store.js";
 import { TimeTools, useTimeView } from "./timeview.js";
 
@@ -201,10 +201,8 @@ export function Night({ rows = [], plan = [], report = null, verdicts = [], site
     <${TimeTools} view=${view} at=${at} pick=${pick.value} what=${what} /></div>`;
 }
 
-/** One telescope of many: what was done, and what is planned. `neighbour` is one of its site, for all of them the same. */
-function Line({ id, neighbour, now, night, draw, y, onSite }) {
-  const site = useSite(neighbour, null);
-  useEffect(() => { if (site) onSite(neighbour, site); }, [neighbour, site?.lat, site?.lon]);
+/** One telescope of many: what was done, and what is planned. */
+function Line({ id, now, night, draw, y }) {
   const summary = net.value.get(id);
   const entry = useTopic(`tel/${id}/observatory/schedule`)?.get(`${id}/observatory/schedule/state`);
   const rows = entry?.body.rows ?? NONE;
@@ -215,7 +213,7 @@ function Line({ id, neighbour, now, night, draw, y, onSite }) {
     title: `${row.action} ${row.object ?? ""} ${hourMinute(row.start_utc)} to ${hourMinute(row.end_utc)}` }));
   // Without a report of the archive the windows of finished rows stand for what was done.
   const past = done ?? rows.filter((row) => row.status === "finished" && row.object).map((row) => ({ from: utc(row.start_utc), to: Math.min(now, utc(row.end_utc)), cls: "b-plan", texts: [words(row.object)], title: `${row.object}, ${row.status}` }));
-  return html`<g data-testid="night-line" data-of=${id}>${bands(draw.t0, draw.t1, site, draw.X, y, 22)}${lane([...past, ...ahead], draw.X, [draw.t0, draw.t1], y + 1)}</g>`;
+  return html`<g data-testid="night-line" data-of=${id}>${bands(draw.t0, draw.t1, siteOf(summary), draw.X, y, 22)}${lane([...past, ...ahead], draw.X, [draw.t0, draw.t1], y + 1)}</g>`;
 }
 const NONE = [];
 
@@ -231,10 +229,8 @@ export function Nights({ telescopes, now, night }) {
     return () => observer.disconnect();
   }, []);
   const small = W < 560;
-  const sites = useSignal({});
-  const onSite = (id, site) => { sites.value = { ...sites.peek(), [id]: site }; };
-  const first = new Map(telescopes.map((one) => [one.site_id, one.id]).reverse());
-  const spans = Object.values(sites.value).map((site) => nightSpan(site, now, NONE));
+  const sites = new Map(telescopes.filter(siteOf).map((one) => [one.site_id, siteOf(one)]));
+  const spans = [...sites.values()].map((site) => nightSpan(site, now, NONE));
   const [from, to] = spans.length ? [Math.min(...spans.map(([a]) => a)), Math.max(...spans.map(([, b]) => b))] : nightSpan(null, now, NONE);
   const left = small ? 84 : 118;
   const timeOf = (clientX) => view.t0 + ((clientX - place.current.getBoundingClientRect().left - left) / (W - left - 4)) * (view.t1 - view.t0);
@@ -244,7 +240,7 @@ export function Nights({ telescopes, now, night }) {
   const draw = { t0, t1, X: (t) => left + ((t - t0) / (t1 - t0)) * (W - left - 4) };
   const H = telescopes.length * 26 + FOOT;
   return html`<div class="tl look" tabindex="0" role="group" aria-label="The night of all telescopes; the table says what each does. Arrow keys move the cursor, plus and minus zoom, 0 shows all." onKeyDown=${view.press}><div ref=${place} class="touch" style=${{ minHeight: `${H}px` }}><ul class="names" style=${{ width: `${left - 8}px` }}>${telescopes.map((one) => html`<li key=${one.id}><a class="cut" href=${`/t/${one.id}`}>${one.telescope_id}</a></li>`)}</ul>
-    ${seen.value && html`<svg viewBox=${`0 0 ${W} ${H}`} height=${H}>${telescopes.map(({ id, site_id: site }, i) => html`<${Line} key=${id} id=${id} neighbour=${first.get(site)} onSite=${onSite} now=${now} night=${night} draw=${draw} y=${i * 26} />`)}
+    ${seen.value && html`<svg viewBox=${`0 0 ${W} ${H}`} height=${H}>${telescopes.map(({ id }, i) => html`<${Line} key=${id} id=${id} now=${now} night=${night} draw=${draw} y=${i * 26} />`)}
     ${ticks(t0, t1, W - left).map((t) => html`<text key=${t} x=${draw.X(t)} y=${H - 4} text-anchor="middle">${hourMinute(t)}</text>`)}<text x="0" y=${H - 4}>UTC</text>
     ${hover.value !== null && hover.value >= t0 && hover.value <= t1 && html`<path class="cur" d=${`M${draw.X(hover.value)} 0V${H - FOOT}`} />`}${now >= t0 && now <= t1 && html`<path class="now" d=${`M${draw.X(now)} 0V${H - FOOT}`} />`}</svg>`}</div>
     <${TimeTools} view=${view} at=${hover.value} id=${null} /></div>`;

@@ -6,14 +6,15 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::response::{IntoResponse as _, Response};
-use contract::{Address, Key, Kind};
+use contract::Address;
 use schedule::horizon_limits::HorizonLimits;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sky::{EarthOrientation, Horizontal, Icrs, Night, Observer, Place, SkyError, night};
-use units::{Angle, Utc};
+use units::Utc;
 
 use crate::json_body::AskedFor;
+use crate::place::{self, PlaceOnEarth};
 use crate::problem::{Code, Problem};
 use crate::routes::network::{NEVER_CACHED, known};
 use crate::server::Server;
@@ -37,7 +38,7 @@ pub struct SkyAt {
     /// Sky time.
     at_utc: Utc,
     /// Where it is.
-    place: SkyPlace,
+    place: PlaceOnEarth,
     /// Apparent sidereal time of the place, degrees.
     sidereal_time_deg: f64,
     /// The Sun's centre.
@@ -54,17 +55,6 @@ pub struct SkyAt {
     /// altitude, degrees; absent where this server's file is not that of the telescope.
     #[serde(skip_serializing_if = "Option::is_none")]
     horizon: Option<Vec<[f64; 2]>>,
-}
-
-/// A place on Earth.
-#[derive(Debug, JsonSchema, Serialize)]
-struct SkyPlace {
-    /// Geodetic latitude, degrees, north positive.
-    latitude_deg: f64,
-    /// Longitude, degrees, east positive.
-    longitude_deg: f64,
-    /// Height above the ellipsoid, m.
-    elevation_m: f64,
 }
 
 /// Where a body stands, without refraction.
@@ -151,11 +141,7 @@ pub async fn sky(
     AskedFor(query): AskedFor<SkyQuery>,
 ) -> Result<Response, Problem> {
     let address = known(&server.network, &site, &telescope)?;
-    let (place, orientation) = place_of(&server, &address).ok_or_else(|| {
-        Problem::not_found(format!(
-            "It is not known where {address} stands: this server's file is of another site, and its mount publishes no place."
-        ))
-    })?;
+    let (place, orientation) = known_place(&server, &address)?;
     let at = query.at_utc.unwrap_or_else(|| server.network.clock().utc());
     let worked_out =
         tokio::task::spawn_blocking(move || sky_at(&place, &orientation, at, horizon(&server.config, &address)));
@@ -165,20 +151,13 @@ pub async fn sky(
     Ok((NEVER_CACHED, Json(sky)).into_response())
 }
 
-/// Where a telescope stands: as this server's file says of its own site, or else as the mount does.
-pub fn place_of(server: &Server, address: &Address) -> Option<(Place, EarthOrientation)> {
-    if server.config.place.site == address.site {
-        return server.config.place.on_earth().ok();
-    }
-    let model = server.network.read();
-    let states = model.telescopes.get(address)?.states.values();
-    let mut mounts =
-        states.filter(|entry| matches!(&entry.key, Key::Capabilities(device) if device.kind == Kind::Telescope));
-    let can = &mounts.next()?.body["can"];
-    let number = |name: &str| can[name].as_f64();
-    let [latitude, longitude] = [number("site_latitude_deg")?, number("site_longitude_deg")?].map(Angle::from_degrees);
-    let place = Place::new(latitude, longitude, number("site_elevation_m").unwrap_or(0.0)).ok()?;
-    Some((place, EarthOrientation::default()))
+/// Where a telescope stands, or that this is not known.
+pub fn known_place(server: &Server, address: &Address) -> Result<(Place, EarthOrientation), Problem> {
+    place::of(&server.network.read(), address).ok_or_else(|| {
+        Problem::not_found(format!(
+            "It is not known where {address} stands: this server's file is of another site, and no mount there publishes a place."
+        ))
+    })
 }
 
 fn sky_at(
@@ -191,11 +170,7 @@ fn sky_at(
     let night = night(place, orientation, at)?;
     Ok(SkyAt {
         at_utc: at,
-        place: SkyPlace {
-            latitude_deg: place.latitude().degrees(),
-            longitude_deg: place.longitude_east().degrees(),
-            elevation_m: place.elevation_m(),
-        },
+        place: place.into(),
         sidereal_time_deg: observer.sidereal_time().degrees(),
         sun: BodyAt::of(&observer.sun_icrs(), &observer.sun()),
         moon: BodyAt::of(&observer.moon_icrs(), &observer.moon()),
@@ -246,6 +221,8 @@ fn horizon(config: &config::Observatory, address: &Address) -> Option<Vec<[f64; 
 
 #[cfg(test)]
 mod tests {
+    use units::Angle;
+
     use super::*;
 
     fn paranal() -> (Place, EarthOrientation) {

@@ -65,6 +65,11 @@ impl RowState {
     /// The detail of a row that must not expose the sky begins so.
     pub const SUSPENDED: &str = "suspended: ";
 
+    /// The number of a row as people count: the first is 1.
+    pub const fn told(row: u32) -> u32 {
+        row.saturating_add(1)
+    }
+
     /// Why it waits, where the present verdict does not say that better.
     pub fn own_detail(&self) -> Option<&str> {
         let is_of_verdict = [Self::NOT_SAFE, Self::SUSPENDED].iter().any(|words| self.detail.starts_with(words));

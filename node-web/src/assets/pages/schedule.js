@@ -10,8 +10,8 @@ import { Keys, Night } from "../night.js";
 import { Card, Loaded, Table } from "../parts.js";
 import { Order } from "./controls.js";
 import { difference } from "../rowtext.js";
-import { useSite } from "../site.js";
-import { skyNow, tick, useTopic } from "../store.js";
+import { siteOf } from "../site.js";
+import { net, skyNow, tick, useTopic } from "../store.js";
 
 const SHAPES = { pending: "·", running: "▶", interrupted: "‖", finished: "✓", failed: "✕", skipped: "–" };
 const LISTED = 10;
@@ -70,7 +70,7 @@ export function Schedule({ id }) {
   const states = useTopic(`tel/${id}/observatory/schedule`);
   const entry = states?.get(`${id}/observatory/schedule/state`);
   const plan = useForecast(id);
-  const site = useSite(id, null);
+  const site = siteOf(net.value.get(id));
   /** The editor while somebody edits, or null; it is asked for when it is needed. */
   const Editor = useSignal(null);
   const draft = useMemo(() => draftOf(id), [id]);

@@ -8,7 +8,7 @@ import { arrived, Picture } from "../image.js";
 import { Keys, Night } from "../night.js";
 import { useGet, useReport } from "../api.js";
 import { SkyMap } from "../sky.js";
-import { useSite } from "../site.js";
+import { siteOf } from "../site.js";
 import { useForecast } from "../forecast.js";
 import { Age, Card, Empty, Guard, Missing, Priority, Stat, Table, Time, fate, isCalm, priorityNumber, realTime, standing } from "../parts.js";
 import { ageOf, quality, skyAgeOf, skyNow, skySpeed, tick, useTopic } from "../store.js";
@@ -192,7 +192,7 @@ function Sky({ states, site }) {
 export function Telescope({ id, summary }) {
   tick.value; // eslint-disable-line no-unused-expressions
   const states = useTopic(`tel/${id}`);
-  const site = useSite(id, states);
+  const site = siteOf(summary);
   if (summary.shared) return html`<${Devices} id=${id} states=${states} />`;
   return html`<${Doing} id=${id} summary=${summary} states=${states} />
     <${NightCard} id=${id} states=${states} site=${site} />

@@ -14,7 +14,7 @@ use users::Principal;
 use super::{LegacyQuery, instead, the_telescope};
 use crate::json_body::AskedFor;
 use crate::problem::{Code, Problem};
-use crate::routes::sky::place_of;
+use crate::routes::sky::known_place;
 use crate::server::Server;
 
 /// Bodies with their kinds, and the magnitudes that Astra gave them.
@@ -78,11 +78,7 @@ pub async fn sky_data(
     AskedFor(query): AskedFor<LegacyQuery>,
 ) -> Result<Response, Problem> {
     let address = the_telescope(&server, &caller, query.telescope.as_deref())?;
-    let (place, orientation) = place_of(&server, &address).ok_or_else(|| {
-        Problem::not_found(format!(
-            "It is not known where {address} stands: this server's file is of another site, and its mount publishes no place."
-        ))
-    })?;
+    let (place, orientation) = known_place(&server, &address)?;
     let data = sky_now(&place, &orientation, server.network.clock().utc())
         .map_err(|error| Problem::new(Code::Internal, "The sky cannot be worked out", error.to_string()))?;
     let sky = LegacySky { status: "success", message: "", data };
