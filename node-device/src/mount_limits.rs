@@ -11,8 +11,8 @@ use std::time::Duration;
 
 use bus::MachineTime;
 use config::MountLimits;
-use contract::device::telescope::{BeyondLimit, Command, PierSide};
-use sky::{Meridian, Observer, OfDate, nearest_meridian};
+use contract::device::telescope::{BeyondLimit, Command, EquatorialSystem, PierSide};
+use sky::{Icrs, Meridian, Observer, OfDate, nearest_meridian};
 use units::Angle;
 
 use self::stopping::{Says, Stopping};
@@ -353,7 +353,11 @@ impl LimitWatch {
         let altitude_deg = asked_since(sight.altitude_deg, since).map(|(altitude, _)| altitude);
         let pointing = Pointing {
             // A mount whose place is missing for a while has tracked on from the last one.
-            place: self.place_deg.map(|[ra, dec]| OfDate::from_degrees(ra, dec)),
+            place: self.place_deg.map(|[ra, dec]| match sight.system {
+                EquatorialSystem::Topocentric => OfDate::from_degrees(ra, dec),
+                // As it is pointed and as its slit is turned.
+                _ => sky.to_of_date(&Icrs::from_degrees(ra, dec)),
+            }),
             altitude_deg: altitude_deg.filter(|_| !is_frozen),
             side: asked_since(sight.pier_side, since).map(|(side, _)| side),
         };

@@ -76,6 +76,7 @@ impl German {
             // A slew to the place where it points moves both axes.
             let slews = turned_since_s.is_some_and(|since_s| (0.0..30.0).contains(&since_s));
             let sight = MountSight {
+                system: EquatorialSystem::Topocentric,
                 ra_deg: Some((ra.wrapped_positive().degrees(), now)),
                 dec_deg: Some((self.dec_deg, now)),
                 tracking: Some((true, now)),

@@ -97,6 +97,28 @@ fn past_each_meridian_only_the_wrong_side_of_the_pier_is_stopped() {
     }
 }
 
+#[test]
+fn a_mount_of_j2000_is_stopped_at_the_same_limit_as_one_of_date() {
+    let (sky, now) = (sky(), at(0.0).machine);
+    let limits = MountLimits { altitude_min_deg: -90.0, meridian_past_min: None, ..LIMITS };
+    // By precession its own right ascension is more than a minute of time off.
+    for (before_s, is_stopped) in [(40.0, false), (5.0, true)] {
+        let ra = sky.sidereal_time() - Angle::from_hours(5.0 - before_s / 3600.0);
+        let of_date = OfDate { ra, dec: Angle::from_degrees(-24.6) };
+        let icrs = sky.of_date_to_icrs(&of_date);
+        for (system, ra, dec) in [
+            (EquatorialSystem::Topocentric, of_date.ra, of_date.dec),
+            (EquatorialSystem::J2000, icrs.ra, icrs.dec),
+            (EquatorialSystem::Other, icrs.ra, icrs.dec),
+        ] {
+            let mut watch = LimitWatch::new(limits.clone(), PARK);
+            watch.place_deg = Some([ra.wrapped_positive().degrees(), dec.degrees()]);
+            let why = watch.why(now, now, &MountSight { system, ..MountSight::default() }, &sky);
+            assert_eq!(why.is_some(), is_stopped, "{system:?}, {before_s} s before the limit: {why:?}");
+        }
+    }
+}
+
 /// A mount, as it is and as it reports itself.
 #[derive(Clone)]
 struct Fake {
@@ -163,6 +185,7 @@ impl Fake {
         let seen = |value: f64, hidden: bool| (!hidden && !self.hides_all).then_some((value, asked));
         let flag = |value: bool| (!self.hides_all).then_some((value, asked));
         MountSight {
+            system: EquatorialSystem::Topocentric,
             ra_deg: seen(self.ra_deg, self.hides_place),
             dec_deg: seen(self.dec_deg, self.hides_place),
             altitude_deg: seen(self.says_altitude_deg.unwrap_or(horizontal.altitude.degrees()), self.hides_place),

@@ -3,7 +3,7 @@
 
 use bus::MachineTime;
 use contract::Datum;
-use contract::device::telescope::{Fields, PierSide};
+use contract::device::telescope::{EquatorialSystem, Fields, PierSide};
 
 use crate::now::Now;
 use crate::readings::Readings;
@@ -25,6 +25,8 @@ pub enum Ordered {
 /// A mount as it was read last.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct MountSight {
+    /// The frame of right ascension and declination.
+    pub system: EquatorialSystem,
     /// Right ascension in the mount's frame, degrees.
     pub ra_deg: ReadAt<f64>,
     /// Declination, degrees.
@@ -62,6 +64,7 @@ impl MountSight {
             at_park: seen(readings, fields.at_park, "AtPark"),
             pier_side: pier_side.filter(|(side, _)| *side != PierSide::Unknown),
             ordered,
+            ..Self::default()
         }
     }
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use alpaca::{Alpaca, http_client};
 use anyhow::Context as _;
 use audit::Audit;
-use config::{CloseWithMount, Device as _};
+use config::{CloseWithMount, Device as _, EquatorialChoice};
 use contract::device::telescope::Command as MountCommand;
 use contract::observatory::AlertKind;
 use contract::{Chunk, Device, DeviceKind as _, Kind, Link, Name};
@@ -39,6 +39,7 @@ use crate::guard_process::link::{GuardLink, deadline_of};
 use crate::guard_task::GuardTask;
 use crate::mount_clock;
 use crate::mount_limits::{Alarm, LimitWatch};
+use crate::mount_sight::MountSight;
 use crate::node_part::NodePart;
 use crate::permits;
 use crate::serve::Serve;
@@ -262,7 +263,8 @@ impl SharedParts<'_> {
         let park =
             machine_limit(self.node.bus.clock(), Duration::from_secs_f64(mount.slew_timeout_s.clamp(1.0, 86_400.0)));
         let watch = LimitWatch::new(mount.limits.clone(), park);
-        self.tasks.spawn(watch_limits(self.node.clone(), command_server.clone(), mount.common().name.clone(), watch));
+        let (name, choice) = (mount.common().name.clone(), mount.equatorial_system);
+        self.tasks.spawn(watch_limits(self.node.clone(), command_server.clone(), name, choice, watch));
         if !enclosures.is_empty() {
             self.tasks.spawn(watch_mount(self.node.clone(), self.tokens.clone(), command_server, enclosures));
         }
@@ -320,6 +322,7 @@ async fn watch_limits(
     node: Node,
     command_server: Arc<CommandServer<Telescope>>,
     name: Name,
+    choice: EquatorialChoice,
     mut watch: LimitWatch,
 ) -> anyhow::Result<()> {
     let (clock, site) = (node.bus.clock().clone(), &node.config.place);
@@ -336,11 +339,12 @@ async fn watch_limits(
                 continue;
             }
         };
-        let sight = command_server.driver.sight();
-        let can_park = {
+        let (can_park, system) = {
             let status = command_server.status.lock().unwrap_or_else(PoisonError::into_inner);
-            status.can.as_ref().is_some_and(|can| can.park)
+            let can = status.can.as_ref();
+            (can.is_some_and(|can| can.park), choice.of(can.map(|can| can.equatorial_system)))
         };
+        let sight = MountSight { system, ..command_server.driver.sight() };
         let looked = watch.look(clock.machine(), &sight, &sky, can_park);
         let why = looked.beyond.as_ref().map(|beyond| beyond.why.clone());
         command_server.driver.set_beyond_limit(looked.beyond);

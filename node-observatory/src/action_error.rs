@@ -36,6 +36,16 @@ pub enum ActionError {
         /// The device's reason.
         reason: String,
     },
+    /// Another command took the place of one before its effect was seen.
+    #[error("{device}: {verb} was not seen to be done before {by} took its place")]
+    Superseded {
+        /// Who.
+        device: String,
+        /// What.
+        verb: String,
+        /// The other command, and of whom.
+        by: String,
+    },
     /// Something did not become true in time.
     #[error("{device}: not {what} within {after_s:.0} s")]
     Deadline {
@@ -114,6 +124,7 @@ impl ActionError {
             Self::Refused { device, .. }
             | Self::Unanswered { device, .. }
             | Self::Failed { device, .. }
+            | Self::Superseded { device, .. }
             | Self::Deadline { device, .. }
             | Self::Restarted { device }
             | Self::Cooling { device, .. } => Some(device),
@@ -147,6 +158,7 @@ impl ActionError {
             Self::Refused { reason, .. } => !matches!(reason, Reason::Malformed | Reason::NotImplemented),
             Self::Unanswered { .. }
             | Self::Failed { .. }
+            | Self::Superseded { .. }
             | Self::Deadline { .. }
             | Self::Restarted { .. }
             | Self::NotSafe(_)

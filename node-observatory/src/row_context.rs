@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use bus::Clock;
 use contract::device::telescope::Command;
-use contract::observatory::AlertKind;
+use contract::observatory::{AlertKind, RowState};
 use contract::{CommandId, Kind, Name};
 use schedule::action::parameters::FocusWanted;
 use schedule::plan::overheads::{TOOK, TimedPart};
@@ -96,9 +96,9 @@ impl RowContext {
         match mount.rest().await {
             Ok(()) => alerts.clear(AlertKind::MountTracksOn, name),
             // Whether it tracks is not known, and other alerts say that it is away.
-            Err(why) if mount.instrument.fresh().is_none() => tracing::warn!(row = self.index, why),
+            Err(why) if mount.instrument.fresh().is_none() => tracing::warn!(row = self.told(), why),
             Err(why) => {
-                tracing::warn!(row = self.index, why, "the row is finished all the same");
+                tracing::warn!(row = self.told(), why, "the row is finished all the same");
                 alerts.raise(AlertKind::MountTracksOn, name, &why);
             }
         }
@@ -109,6 +109,11 @@ impl RowContext {
         self.tools.devices.chain(&self.row.camera)
     }
 
+    /// Its number in the diary, where the first row is 1.
+    fn told(&self) -> u32 {
+        RowState::told(self.index)
+    }
+
     /// The clock.
     pub fn clock(&self) -> &Clock {
         self.tools.authority.node.bus.clock()
@@ -117,7 +122,7 @@ impl RowContext {
     /// Reports what the row does now, and how long that lasts.
     pub fn step(&self, step: impl Into<String>, lasts: impl Into<Lasts>) {
         let step = step.into();
-        tracing::info!(row = self.index, action = self.row.action.name(), step, "step");
+        tracing::info!(row = self.told(), action = self.row.action.name(), step, "step");
         self.small_step(step, lasts);
     }
 
@@ -130,7 +135,7 @@ impl RowContext {
     /// Writes into the diary how long a part of the row took, for the plans of later nights.
     pub fn took(&self, span: TimedPart, began: Utc) {
         let took_s = took_s(self.clock(), began);
-        tracing::info!(row = self.index, span = span.word(), took_s, "{TOOK}");
+        tracing::info!(row = self.told(), span = span.word(), took_s, "{TOOK}");
     }
 
     /// Remembers that a frame is under way, so that it can be stopped when the action is dropped.

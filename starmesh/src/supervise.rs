@@ -10,6 +10,7 @@ use contract::Role;
 use node::Stop;
 use node::watchdog::{self, Watchdog};
 use tokio::process::{Child, Command};
+use tokio::sync::oneshot;
 
 use crate::left::Left;
 use crate::reports::Reports;
@@ -122,15 +123,15 @@ impl NodeProcess {
     }
 
     /// Starts the node, and again until the stop is requested: after 1 s, with back-off while it ends again and again or
-    /// cannot be started.
-    pub async fn keep(&self, stop: Stop) {
-        let mut pause = Duration::from_secs(1);
+    /// cannot be started. `first`: whether the first start succeeded; why not is printed before.
+    pub async fn keep(&self, stop: Stop, first: oneshot::Sender<bool>) {
+        let (mut pause, mut first) = (Duration::from_secs(1), Some(first));
         // Without it a node that ends prints each time why.
         let words = tempfile::NamedTempFile::new().ok().map(tempfile::NamedTempFile::into_temp_path);
         let mut printed_before = String::new();
         loop {
             let started = Instant::now();
-            let Some(ended) = self.run(&stop, words.as_deref()).await else { return };
+            let Some(ended) = self.run(&stop, words.as_deref(), &mut first).await else { return };
             // A process that has run for a while, or was killed, prints the cause of its end again.
             if !ended.is_known_failure || started.elapsed() > HEALTHY {
                 printed_before.clear();
@@ -155,6 +156,7 @@ impl NodeProcess {
                 ));
             }
             printed_before = text;
+            tell(&mut first, false);
             if stop.or(tokio::time::sleep(pause)).await.is_none() {
                 return;
             }
@@ -162,7 +164,7 @@ impl NodeProcess {
     }
 
     /// Starts the node and waits for its end; `None` if it was asked to end. A node that cannot be started has ended too.
-    async fn run(&self, stop: &Stop, words: Option<&Path>) -> Option<Ended> {
+    async fn run(&self, stop: &Stop, words: Option<&Path>, first: &mut Option<oneshot::Sender<bool>>) -> Option<Ended> {
         let watchdog = Watchdog::open();
         if let Err(error) = watchdog.as_ref().map_err(std::io::Error::kind)
             && error != std::io::ErrorKind::Unsupported
@@ -176,6 +178,7 @@ impl NodeProcess {
             Ok(child) => child,
             Err(error) => return Some(Ended::of(format!("it was not started: {error:#}"))),
         };
+        tell(first, true);
         // `wait` would close it, and the node would take that for our end.
         let lifeline = child.stdin.take();
         let Some(ended) = stop.or(watchdog::ended(&mut child, &watchdog)).await else {
@@ -197,6 +200,12 @@ impl NodeProcess {
         let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
         Some(Ended { is_known_failure, ..Ended::of(status) })
     }
+}
+
+/// Tells once whether the first start succeeded.
+fn tell(first: &mut Option<oneshot::Sender<bool>>, is_started: bool) {
+    // Nobody may want to know.
+    let _ = first.take().map(|first| first.send(is_started));
 }
 
 /// Ends a node: closes its standard input, asks it by signal where there are signals, and after its time has passed
@@ -245,10 +254,11 @@ mod tests {
             state: None,
         };
         assert!(node.spawn().is_err(), "its log has no folder");
-        let stop = Stop::default();
-        let mut keeping = std::pin::pin!(node.keep(stop.clone()));
+        let (stop, (first, mut is_started)) = (Stop::default(), oneshot::channel());
+        let mut keeping = std::pin::pin!(node.keep(stop.clone(), first));
         let first_start = tokio::time::timeout(Duration::ZERO, &mut keeping).await;
         assert!(first_start.is_err() && !log.exists(), "one start that failed ended the supervision");
+        assert_eq!(is_started.try_recv(), Ok(false), "and it is told");
         std::fs::create_dir(&logs).unwrap();
         let second_start = async {
             while !log.exists() {

@@ -8,6 +8,7 @@ use bus::{Bus, Clock};
 use clap::Args;
 use contract::Role;
 use node::{Stop, lines};
+use tokio::sync::oneshot;
 use tokio::task::JoinSet;
 
 use crate::bus_address;
@@ -79,20 +80,25 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     };
     let page = page(config.web.listen);
     let mut devices: Vec<(String, Stop, JoinSet<()>)> = Vec::new();
+    let mut first_starts = Vec::new();
     // Enclosures first, at the start and at the end: an enclosure that waits for the mount needs the mount's node until
     // it is closed.
     for id in config.device_nodes() {
         let (node, stop) = (node(Role::Device, id), Stop::default());
         let (stopped, mut task) = (stop.clone(), JoinSet::new());
-        task.spawn(async move { node.keep(stopped).await });
+        let (first, is_started) = oneshot::channel();
+        first_starts.push((name(&node), is_started));
+        task.spawn(async move { node.keep(stopped, first).await });
         devices.push((id.to_owned(), stop, task));
     }
     let shared = config.place.telescope.as_str() == contract::Address::SHARED;
-    let run = |roles: &[Role]| {
+    let mut run = |roles: &[Role]| {
         let (stop, mut tasks) = (Stop::default(), JoinSet::new());
         for role in roles {
             let (node, stopped) = (node(*role, config::MAIN_NODE), stop.clone());
-            tasks.spawn(async move { node.keep(stopped).await });
+            let (first, is_started) = oneshot::channel();
+            first_starts.push((name(&node), is_started));
+            tasks.spawn(async move { node.keep(stopped, first).await });
         }
         (stop, tasks)
     };
@@ -100,7 +106,14 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     // They send and store what the others report until the end.
     let (stop_others, mut others) = run(&[Role::Archive, Role::Web]);
     let at = bus_address::shown(&config.bus, &bus.locators().await);
-    lines::print_line(format_args!("{}: nodes started; {at}; {page}; Ctrl-C stops", config.address()));
+    let (all, mut missing) = (first_starts.len(), Vec::new());
+    for (name, is_started) in first_starts {
+        if !is_started.await.unwrap_or(false) {
+            missing.push(name);
+        }
+    }
+    let started = started(all, &missing);
+    lines::print_line(format_args!("{}: {started}; {at}; {page}; Ctrl-C stops", config.address()));
     node::signals::end_asked().await;
     lines::print_line(
         "stopping: the observatory node closes first (at most 15 s), then each enclosure's device node (at most 300 s); archive \
@@ -142,6 +155,20 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     left.nothing();
     lines::print_line("stopped: every node has ended");
     Ok(())
+}
+
+fn name(node: &NodeProcess) -> String {
+    format!("the {} node {}", node.role, node.id)
+}
+
+/// How many nodes were started, and which were not.
+fn started(all: usize, missing: &[String]) -> String {
+    let started = format!("{} of {all} nodes started", all.saturating_sub(missing.len()));
+    match missing {
+        [] => started,
+        [one] => format!("{started}; {one} was not (why is above), and is tried again"),
+        many => format!("{started}; {} were not (why is above), and are tried again", many.join(", ")),
+    }
 }
 
 /// The clock of the site, so that what `up` reports has the times of what the nodes report; that of the machine where the
@@ -191,7 +218,7 @@ async fn guarded_until_readable(
     };
     let (stop, mut task) = (Stop::default(), JoinSet::new());
     let stopped = stop.clone();
-    task.spawn(async move { node.keep(stopped).await });
+    task.spawn(async move { node.keep(stopped, oneshot::channel().0).await });
     let readable = async {
         loop {
             tokio::time::sleep(READ_AGAIN).await;
@@ -207,4 +234,21 @@ async fn guarded_until_readable(
     stop.stop();
     while task.join_next().await.is_some() {}
     Ok(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nodes_that_were_not_started_are_counted_and_named() {
+        let names = ["the device node main", "the archive node main"].map(str::to_owned);
+        assert_eq!(started(5, &[]), "5 of 5 nodes started");
+        let one = "4 of 5 nodes started; the archive node main was not (why is above), and is tried again";
+        assert_eq!(started(5, &names[1..]), one);
+        assert!(
+            started(5, &names)
+                .starts_with("3 of 5 nodes started; the device node main, the archive node main were not")
+        );
+    }
 }

@@ -112,6 +112,15 @@ impl Bus {
 
     /// Follows one key: the newest payload with its time of arrival.
     pub async fn latest<T: Payload>(&self, key: &Key) -> Result<Latest<T>, BusError> {
+        self.latest_with(key, |_| {}).await
+    }
+
+    /// As [`Self::latest`]; `each` gets every payload before it is the newest one, also one that another soon follows.
+    pub async fn latest_with<T: Payload>(
+        &self,
+        key: &Key,
+        mut each: impl FnMut(&Received<T>) + Send + 'static,
+    ) -> Result<Latest<T>, BusError> {
         let subscriber = self.subscribe::<T>(key, Catch::Newest, 16).await?;
         let (sender, receiver) = watch::channel(None);
         let succession: Arc<Mutex<Succession>> = Arc::default();
@@ -120,6 +129,7 @@ impl Bus {
             loop {
                 let received: Received<T> = subscriber.recv().await;
                 if lock(&into).is_newer(&received.sample.boot_id, received.sample.seq, received.arrived) {
+                    each(&received);
                     sender.send_replace(Some(received));
                 }
             }

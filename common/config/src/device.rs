@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 
 use contract::device::dome::CloseWithMount;
+use contract::device::telescope::EquatorialSystem;
 use contract::{Chunk, Kind, Name};
 use serde::{Deserialize, Deserializer};
 
@@ -58,6 +59,17 @@ pub enum EquatorialChoice {
     J2000,
     /// True equator and equinox of date.
     Topocentric,
+}
+
+impl EquatorialChoice {
+    /// The frame of a mount's coordinates, by what it reports, if that is known yet.
+    pub fn of(self, reported: Option<EquatorialSystem>) -> EquatorialSystem {
+        match self {
+            Self::Auto => reported.unwrap_or_default(),
+            Self::J2000 => EquatorialSystem::J2000,
+            Self::Topocentric => EquatorialSystem::Topocentric,
+        }
+    }
 }
 
 /// `[[telescope]] limits`: where a mount stops tracking, whatever the schedule says.

@@ -1,11 +1,14 @@
 //! One device of any kind: its newest state, and `command and wait until done`.
 
-use std::sync::Arc;
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use bus::{AskError, Bus, Clock, Latest, Received};
 use contract::device::DeviceDescription;
-use contract::{Command, CommandId, CommandOutcome, Device, DeviceKind, DeviceState, Key, Link, Payload, Reason};
+use contract::{
+    Command, CommandId, CommandOutcome, Device, DeviceKind, DeviceState, Key, LastCommand, Link, Payload, Reason,
+};
 use tokio::sync::{Notify, watch};
 
 use crate::action_error::ActionError;
@@ -21,10 +24,10 @@ const REPEATS: u32 = 3;
 const TURN: Duration = Duration::from_secs(30);
 /// A device node describes its device within this time.
 const DESCRIBED: Duration = Duration::from_secs(15);
-/// A device that another command has taken over, and that does not come to rest, is not waited for longer.
-const RESTS: Duration = Duration::from_secs(30);
-/// A state that arrives so long after a command was taken knows of it.
-const SETTLED: Duration = Duration::from_secs(1);
+/// A state that arrives so long after a command was taken knows of it: up to three stops before it have a second each.
+const SETTLED: Duration = Duration::from_secs(4);
+/// So many commands are remembered with their ends.
+const REMEMBERED: usize = 16;
 
 /// In whose name, and with which token, commands are given. Cheap to clone.
 #[derive(Clone)]
@@ -45,15 +48,46 @@ pub struct Instrument<K: DeviceKind> {
     pub device: Device,
     state: Latest<DeviceState<K::Fields>>,
     about: Latest<DeviceDescription<K::Capabilities>>,
+    ended: Arc<Mutex<EndedCommands>>,
     sender: CommandSender,
+}
+
+/// The newest commands of a device that have ended: of two that follow each other, who waits may see the state of the
+/// second only.
+#[derive(Debug, Default)]
+struct EndedCommands(VecDeque<LastCommand>);
+
+impl EndedCommands {
+    /// Takes in the newest command of a state.
+    fn note(&mut self, last: Option<&LastCommand>) {
+        let Some(last) = last.filter(|last| last.outcome != CommandOutcome::Running) else { return };
+        if self.0.back().is_some_and(|newest| newest.id == last.id) {
+            return;
+        }
+        self.0.push_back(last.clone());
+        if self.0.len() > REMEMBERED {
+            self.0.pop_front();
+        }
+    }
+
+    /// The command of this id.
+    fn get(&self, id: &CommandId) -> Option<LastCommand> {
+        self.0.iter().rev().find(|ended| ended.id == *id).cloned()
+    }
 }
 
 impl<K: DeviceKind> Instrument<K> {
     /// Subscribes to a device.
     pub async fn listen(command_sender: &CommandSender, device: Device) -> anyhow::Result<Self> {
-        let state = command_sender.bus.latest(&Key::State(device.clone())).await?;
+        let ended = Arc::<Mutex<EndedCommands>>::default();
+        let into = ended.clone();
+        let each = move |received: &Received<DeviceState<K::Fields>>| {
+            let mut ended = into.lock().unwrap_or_else(PoisonError::into_inner);
+            ended.note(received.sample.body.last_command.as_ref());
+        };
+        let state = command_sender.bus.latest_with(&Key::State(device.clone()), each).await?;
         let about = command_sender.bus.latest(&Key::Capabilities(device.clone())).await?;
-        Ok(Self { device, state, about, sender: command_sender.clone() })
+        Ok(Self { device, state, about, ended, sender: command_sender.clone() })
     }
 
     /// The clock.
@@ -220,7 +254,16 @@ impl<K: DeviceKind> Instrument<K> {
         self.done(&id, &verb, command_timeout(self.clock(), sky)).await
     }
 
+    /// A command as this state shows it, or as one before it showed its end.
+    fn shown(&self, id: &CommandId, state: &DeviceState<K::Fields>) -> Option<LastCommand> {
+        let newest = state.last_command.as_ref().filter(|last| last.id == *id).cloned();
+        newest.or_else(|| self.ended.lock().unwrap_or_else(PoisonError::into_inner).get(id))
+    }
+
     /// Waits until a command that was taken is done, as the state shows; `most` is machine time.
+    ///
+    /// # Errors
+    /// One that another command replaced before is [`ActionError::Superseded`], whatever the device does by then.
     pub async fn done(
         &self,
         id: &CommandId,
@@ -228,23 +271,19 @@ impl<K: DeviceKind> Instrument<K> {
         most: Duration,
     ) -> Result<DeviceState<K::Fields>, ActionError> {
         let boot_id = self.newest().map(|received| received.sample.boot_id);
-        let taken = self.clock().machine();
-        let (mut seen, mut replaced) = (false, None);
+        let (taken, mut seen) = (self.clock().machine(), false);
         self.until(most, &format!("done with {verb}"), |received| {
             let state = &received.sample.body;
-            let is_newest = state.last_command.as_ref().is_some_and(|last| last.id == *id);
-            seen |= is_newest;
+            let mine = self.shown(id, state);
+            seen |= mine.is_some();
             let is_restarted = boot_id.as_ref().is_some_and(|boot_id| received.sample.boot_id != *boot_id);
             // A state that is surely newer than the command.
             let is_newer = seen || received.arrived >= taken.plus(SETTLED);
-            let replaced_for = (!is_newest && is_newer && state.last_command.is_some())
-                .then(|| received.arrived.since(*replaced.get_or_insert(received.arrived)));
-            let device = self.device.to_string();
-            match sight(state, id, is_restarted, replaced_for) {
+            let (device, verb) = (self.device.to_string(), verb.to_owned());
+            match sight(state, mine.map(|mine| mine.outcome), is_restarted, is_newer) {
                 CommandSight::Done => Some(Ok(state.clone())),
-                CommandSight::Failed(reason) => {
-                    Some(Err(ActionError::Failed { device, verb: verb.to_owned(), reason }))
-                }
+                CommandSight::Failed(reason) => Some(Err(ActionError::Failed { device, verb, reason })),
+                CommandSight::Superseded(by) => Some(Err(ActionError::Superseded { device, verb, by })),
                 CommandSight::Restarted => Some(Err(ActionError::Restarted { device })),
                 CommandSight::UnderWay => None,
             }
@@ -257,23 +296,20 @@ impl<K: DeviceKind> Instrument<K> {
         let (verb, id) = (verb(&action), CommandId::fresh());
         self.ask_in_turn(&id, action).await?;
         let (taken, mut seen) = (self.clock().machine(), false);
-        let failed = |reason: &str| {
-            let (device, verb) = (self.device.to_string(), verb.clone());
-            Some(Err(ActionError::Failed { device, verb, reason: reason.to_owned() }))
-        };
         self.until(most, &format!("done with {verb}"), |received| {
-            let last = received.sample.body.last_command.as_ref();
-            let mine = last.filter(|last| last.id == id);
+            let state = &received.sample.body;
+            let mine = self.shown(&id, state);
             seen |= mine.is_some();
-            match mine.map(|last| (&last.outcome, &last.answer)) {
-                Some((CommandOutcome::Done, answer)) => Some(Ok(answer.clone().unwrap_or_default())),
-                Some((CommandOutcome::Failed { reason }, _)) => failed(reason.as_str()),
-                Some((CommandOutcome::Running, _)) => None,
-                // Unlike a movement, an answer cannot be seen any more.
-                None if seen || received.arrived >= taken.plus(SETTLED) => {
-                    failed("another command came in between, so that the answer is lost")
+            let is_newer = seen || received.arrived >= taken.plus(SETTLED);
+            let (device, verb) = (self.device.to_string(), verb.clone());
+            match (mine.map(|mine| (mine.outcome, mine.answer)), &state.last_command) {
+                (Some((CommandOutcome::Done, answer)), _) => Some(Ok(answer.unwrap_or_default())),
+                (Some((CommandOutcome::Failed { reason }, _)), _) => {
+                    Some(Err(ActionError::Failed { device, verb, reason }))
                 }
-                None => None,
+                (None, Some(later)) if is_newer => Some(Err(ActionError::Superseded { device, verb, by: name(later) })),
+                (None, None) if is_newer => Some(Err(ActionError::Restarted { device })),
+                (Some((CommandOutcome::Running, _)) | None, _) => None,
             }
         })
         .await?
@@ -310,37 +346,30 @@ enum CommandSight {
     UnderWay,
     Done,
     Failed(String),
+    Superseded(String),
     Restarted,
 }
 
-/// How far a command is. `is_restarted`: the state is of another incarnation of the device node than the one that took it.
-/// `replaced_for`: so long states have named another command as the newest.
-fn sight<F>(
-    state: &DeviceState<F>,
-    id: &CommandId,
-    is_restarted: bool,
-    replaced_for: Option<Duration>,
-) -> CommandSight {
-    let last = state.last_command.as_ref();
-    match last.filter(|last| last.id == *id).map(|last| &last.outcome) {
+/// How far a command is. `mine`: how far states have shown it to be. `is_restarted`: the state is of another incarnation of
+/// the device node than the one that took it. `is_newer`: the state is surely newer than the command.
+fn sight<F>(state: &DeviceState<F>, mine: Option<CommandOutcome>, is_restarted: bool, is_newer: bool) -> CommandSight {
+    match (mine, &state.last_command) {
         // Its device node has seen the effect. What else the device is at, or says that it is, does not matter.
-        Some(CommandOutcome::Done) => return CommandSight::Done,
-        Some(CommandOutcome::Failed { reason }) => return CommandSight::Failed(reason.clone()),
-        Some(CommandOutcome::Running) => return CommandSight::UnderWay,
-        None => {}
-    }
-    if is_restarted {
+        (Some(CommandOutcome::Done), _) => CommandSight::Done,
+        (Some(CommandOutcome::Failed { reason }), _) => CommandSight::Failed(reason),
+        (Some(CommandOutcome::Running), _) => CommandSight::UnderWay,
         // A new incarnation of the node knows nothing of it, whatever commands it got since.
-        return if state.busy { CommandSight::UnderWay } else { CommandSight::Restarted };
+        (None, _) if is_restarted && !state.busy => CommandSight::Restarted,
+        (None, _) if is_restarted => CommandSight::UnderWay,
+        // That nothing moves is no sign of its effect.
+        (None, Some(later)) if is_newer => CommandSight::Superseded(name(later)),
+        (None, _) => CommandSight::UnderWay,
     }
-    // A later command of another node has replaced ours: that nothing moves is then all that can be seen.
-    match (replaced_for, last) {
-        (Some(_), _) if !state.busy => CommandSight::Done,
-        (Some(since), Some(last)) if since >= RESTS => {
-            CommandSight::Failed(format!("{} took its place, and the device does not come to rest", last.verb))
-        }
-        _ => CommandSight::UnderWay,
-    }
+}
+
+/// A command and its sender, in words.
+fn name(command: &LastCommand) -> String {
+    format!("{} of {}", command.verb, command.from)
 }
 
 /// The name of a command in JSON.
@@ -354,54 +383,111 @@ fn verb<C: Payload>(command: &C) -> String {
 
 #[cfg(test)]
 mod tests {
-    use contract::LastCommand;
+    use contract::device::telescope::{Fields, Telescope};
+    use contract::{Address, Kind};
+    use test_support::{LIMIT, join, private_bus, until};
     use units::Utc;
 
     use super::*;
 
-    fn state(busy: bool, last: Option<(&str, CommandOutcome)>) -> DeviceState<()> {
-        let last = last.map(|(id, outcome)| LastCommand {
+    fn command(id: &str, outcome: CommandOutcome) -> LastCommand {
+        LastCommand {
             id: CommandId(id.to_owned()),
             from: "observatory/alpha/main".to_owned(),
             verb: "slew".to_owned(),
             taken_utc: Utc::EPOCH,
             outcome,
             answer: None,
-        });
-        let readings = Default::default();
+        }
+    }
+
+    fn state<F: Default>(busy: bool, last_command: Option<LastCommand>) -> DeviceState<F> {
         DeviceState {
             link: Link::Connected,
             busy,
             period_s: 1.0,
             poll_s: None,
-            last_command: last,
-            fields: (),
-            readings,
+            last_command,
+            fields: F::default(),
+            readings: Default::default(),
         }
     }
 
     #[test]
     fn a_command_is_done_by_what_its_device_node_reports_of_it_and_not_by_a_device_that_rests() {
         use CommandOutcome::{Done, Failed, Running};
-        let long = Some(RESTS);
-        let short = Some(Duration::from_secs(1));
         let failed = || Failed { reason: "stuck".to_owned() };
-        let replaced = || CommandSight::Failed("slew took its place, and the device does not come to rest".to_owned());
+        let replaced = || CommandSight::Superseded("slew of observatory/alpha/main".to_owned());
         let rows = [
             // A flag of the device that stays, such as that of a guide pulse.
-            (state(true, Some(("mine", Done))), false, None, CommandSight::Done),
-            (state(false, Some(("mine", Running))), false, None, CommandSight::UnderWay),
-            (state(true, Some(("mine", failed()))), false, None, CommandSight::Failed("stuck".to_owned())),
-            (state(true, None), true, None, CommandSight::UnderWay),
-            (state(false, None), true, None, CommandSight::Restarted),
-            (state(false, Some(("later", Running))), false, None, CommandSight::UnderWay),
-            (state(false, Some(("later", Done))), false, short, CommandSight::Done),
-            (state(true, Some(("later", Done))), false, short, CommandSight::UnderWay),
-            (state(true, Some(("later", Done))), false, long, replaced()),
+            (true, None, Some(Done), false, true, CommandSight::Done),
+            (false, None, Some(Running), false, true, CommandSight::UnderWay),
+            (true, None, Some(failed()), false, true, CommandSight::Failed("stuck".to_owned())),
+            (true, None, None, true, false, CommandSight::UnderWay),
+            (false, None, None, true, true, CommandSight::Restarted),
+            (false, Some(Running), None, true, true, CommandSight::Restarted),
+            // The state may be from before the command.
+            (false, Some(Done), None, false, false, CommandSight::UnderWay),
+            // Two guide pulses: the first was seen to end before the second.
+            (true, Some(Running), Some(Done), false, true, CommandSight::Done),
+            (false, Some(Done), None, false, true, replaced()),
+            (true, Some(Running), None, false, true, replaced()),
         ];
-        for (state, is_restarted, replaced_for, expected) in rows {
-            let found = sight(&state, &CommandId("mine".to_owned()), is_restarted, replaced_for);
-            assert_eq!(found, expected, "{state:?}");
+        for (busy, later, mine, is_restarted, is_newer, expected) in rows {
+            let state = state::<()>(busy, later.map(|outcome| command("later", outcome)));
+            let found = sight(&state, mine.clone(), is_restarted, is_newer);
+            assert_eq!(found, expected, "{state:?}, {mine:?}");
         }
+    }
+
+    #[test]
+    fn the_ends_of_the_newest_commands_are_remembered() {
+        use CommandOutcome::{Done, Running};
+        let (mut ended, id) = (EndedCommands::default(), |number: usize| number.to_string());
+        for number in 0..REMEMBERED + 2 {
+            for outcome in [Running, Done, Done] {
+                ended.note(Some(&command(&id(number), outcome)));
+            }
+        }
+        ended.note(Some(&command("runs", Running)));
+        ended.note(None);
+        let is_known = |id: &str| ended.get(&CommandId(id.to_owned())).is_some_and(|ended| ended.outcome == Done);
+        assert!(!is_known(&id(1)) && is_known(&id(2)) && is_known(&id(REMEMBERED + 1)) && !is_known("runs"));
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn of_two_commands_the_first_is_done_if_that_was_seen_and_names_the_second_if_not() {
+        use CommandOutcome::{Done, Running};
+        let bus = private_bus(Clock::machine_clock()).await;
+        let device = Address::new("test", "alpha").unwrap().device(Kind::Telescope, &"mount".parse().unwrap());
+        let states = bus.publisher::<DeviceState<Fields>>(&Key::State(device.clone())).await.unwrap();
+        let command_sender = CommandSender {
+            bus: join(&bus).await,
+            signature: "observatory/alpha/main".to_owned(),
+            lease: watch::channel(Hold::Standby).1,
+            doubt: Arc::default(),
+        };
+        let mount = Instrument::<Telescope>::listen(&command_sender, device).await.unwrap();
+        let publish = async |id: &str, outcome: CommandOutcome| {
+            states.put(state(false, Some(command(id, outcome)))).await.unwrap();
+        };
+        let newest = || mount.newest().and_then(|received| received.sample.body.last_command).map(|last| last.id.0);
+        // The sessions have met when a state arrives that is repeated.
+        while newest().is_none() {
+            publish("before", Done).await;
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        for (id, outcome) in [("first", Running), ("first", Done), ("second", Running)] {
+            publish(id, outcome).await;
+        }
+        until("the second runs", || newest().as_deref() == Some("second")).await;
+        let [first, second] = ["first", "second"].map(|id| CommandId(id.to_owned()));
+        assert!(mount.done(&first, "slew", LIMIT).await.is_ok(), "the second came before anybody had looked");
+        let mut waiting = std::pin::pin!(mount.done(&second, "slew", LIMIT));
+        assert!(tokio::time::timeout(Duration::ZERO, &mut waiting).await.is_err(), "the second runs");
+        publish("third", Done).await;
+        let error = waiting.await.unwrap_err().to_string();
+        let by = "slew was not seen to be done before slew of observatory/alpha/main took its place";
+        assert!(error.ends_with(by), "{error}");
     }
 }

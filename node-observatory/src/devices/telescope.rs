@@ -229,13 +229,7 @@ impl Mount {
 
     /// The frame of its coordinates, as far as it is known yet.
     pub fn frame(&self) -> EquatorialSystem {
-        match self.config.equatorial_system {
-            EquatorialChoice::Auto => {
-                self.instrument.can().map_or(EquatorialSystem::Other, |can| can.equatorial_system)
-            }
-            EquatorialChoice::J2000 => EquatorialSystem::J2000,
-            EquatorialChoice::Topocentric => EquatorialSystem::Topocentric,
-        }
+        self.config.equatorial_system.of(self.instrument.can().map(|can| can.equatorial_system))
     }
 
     fn slew_timeout(&self) -> Duration {

@@ -209,7 +209,11 @@ impl<'a> FlatsRun<'a> {
             }
             if filter.refused >= REFUSED_MOST {
                 filter.given_up = Some("its level does not hold");
-                tracing::warn!(row = context.index, filter = filter.words(), "given up: its level does not hold");
+                tracing::warn!(
+                    row = RowState::told(context.index),
+                    filter = filter.words(),
+                    "given up: its level does not hold"
+                );
             }
         }
         self.show();

@@ -213,7 +213,7 @@ impl Runner {
             let held_up = self.postponed.remove(&row.id, &self.tools.authority.node.alerts);
             let because = held_up.map(|why| format!(": {why}")).unwrap_or_default();
             let detail = format!("{}{because}", passed_words(*status, taken));
-            tracing::info!(row = index, action = row.action.name(), detail, "skipped");
+            tracing::info!(row = RowState::told(number(index)), action = row.action.name(), detail, "skipped");
             self.sequence.set(index, RowStatus::Skipped);
             self.show(index, RowStatus::Skipped, detail);
         }
@@ -233,7 +233,8 @@ impl Runner {
         let Some(index) = self.sequence.next(now, may) else { return false };
         let Some(row) = self.sequence.begin(index) else { return false };
         let number = number(index);
-        tracing::info!(row = index, action = row.action.name(), object = row.action.object(), "row begins");
+        let told = RowState::told(number);
+        tracing::info!(row = told, action = row.action.name(), object = row.action.object(), "row begins");
         self.show(index, RowStatus::Running, String::new());
         self.farewell = Farewell::NotYet;
         self.tools.night.begin(ActionNow {
@@ -296,9 +297,10 @@ impl Runner {
             RowEnd::Withdrawn => (RowStatus::Interrupted, "it was taken from the schedule for a while".to_owned()),
         };
         self.tools.night.end(number);
+        let told = RowState::told(number);
         match status {
-            RowStatus::Finished => tracing::info!(row = number, action = row.action.name(), detail, "row finished"),
-            _ => tracing::warn!(row = number, action = row.action.name(), detail, ?status, "row ended"),
+            RowStatus::Finished => tracing::info!(row = told, action = row.action.name(), detail, "row finished"),
+            _ => tracing::warn!(row = told, action = row.action.name(), detail, ?status, "row ended"),
         }
         if let Some(index) = self.sequence.end(id, status) {
             self.show(index, status, detail.clone());

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use config::FaultPolicy;
 use contract::Kind;
+use contract::observatory::RowState;
 use safety::objection::Objection;
 use tokio::sync::watch;
 use units::{Utc, seconds};
@@ -97,7 +98,7 @@ pub async fn run_row(context: &RowContext, techniques: &Techniques, withdrawn: w
             };
         }
         retried += 1;
-        tracing::warn!(row = context.index, %error, retried, "trying again");
+        tracing::warn!(row = RowState::told(context.index), %error, retried, "trying again");
         context.small_step(format!("trying again after: {error}"), Lasts::Seconds(faults.pause_s));
         tokio::select! {
             objection = context.tools.authority.objected(&context.row) => return RowEnd::Interrupted(objection),

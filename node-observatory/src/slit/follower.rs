@@ -49,7 +49,10 @@ async fn follow(slits: &Slits, dome: &Dome) {
         match turned {
             None => {}
             // A shutter that began to move, or a lease that went: no fault of the turning.
-            Some(Err(ActionError::Refused { reason: Reason::WrongState | Reason::StaleToken, .. })) => {}
+            Some(Err(
+                ActionError::Superseded { .. }
+                | ActionError::Refused { reason: Reason::WrongState | Reason::StaleToken, .. },
+            )) => {}
             Some(Ok(())) => {
                 failed = 0;
                 note(slits, dome, &Ok(()));

@@ -158,6 +158,10 @@ pub async fn wait_until_clear(
 
 /// Raises and clears the alert of a dome that does not turn.
 fn note(slits: &Slits, dome: &Dome, turned: &Result<(), ActionError>) {
+    if matches!(turned, Err(ActionError::Superseded { .. })) {
+        // What took its place, such as a closing, says nothing of the turning.
+        return;
+    }
     let name = &dome.instrument.device.name;
     dome.set_turning_fails(turned.is_err());
     match turned {

@@ -68,7 +68,7 @@ fn text_at(start: Utc, rows: &[(&str, Value, f64, f64)]) -> String {
     rows.iter().map(line).collect()
 }
 
-/// When each row began and ended after `since`, as the nodes' diaries have it in the archive.
+/// When each row began and ended after `since`, as the nodes' diaries have it in the archive, which count rows from 1.
 fn truth(harness: &Harness, since: Utc) -> BTreeMap<u32, (Option<Utc>, Option<Utc>)> {
     let database = rusqlite::Connection::open(harness.path("data/archive.db")).unwrap();
     let mut lines = database.prepare("SELECT datetime, message FROM log ORDER BY datetime").unwrap();
@@ -187,7 +187,7 @@ async fn under(slit: Option<SlitOptions>, wider: f64) -> anyhow::Result<()> {
     let mut off: Vec<String> = Vec::new();
     for (number, row) in (0_u32..).zip(rows) {
         let time = |name: &str| -> Utc { row[name].as_str().unwrap().parse().unwrap() };
-        let (planned, (began, ended)) = ((time("start_utc"), time("end_utc")), done[&number]);
+        let (planned, (began, ended)) = ((time("start_utc"), time("end_utc")), done[&(number + 1)]);
         let (began, ended) = (began.unwrap(), ended.unwrap());
         let near_s = EACH_ROW_S
             + turn_s
