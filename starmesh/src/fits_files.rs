@@ -106,6 +106,10 @@ fn convert(options: &Convert) -> anyhow::Result<()> {
             Ok(copy) => {
                 let was_there = if copy.was_there { " (was there already)" } else { "" };
                 foreign_line(format_args!("{} -> {}{was_there}", file.display(), name(&copy.path)))?;
+                for warning in profile::warnings(&copy.path, &profile)? {
+                    let text = format!("{}: warning: {warning}", file.display());
+                    node::lines::complain(contract::printable(&text));
+                }
             }
             Err(error) => {
                 complain(&error);

@@ -184,6 +184,40 @@ def test_ocs_archive_and_the_ingester_accept_the_profile_lco(night, tmp_path):
     assert sorted(types) == ["BIAS", "DARK", "EXPOSE", "EXPOSE", "EXPOSE"] and outlines >= 1
 
 
+@pytest.mark.parametrize(("kind", "given", "proposal", "is_public"), [
+    ("Bias Frame", None, "calibrate", True),
+    ("Bias Frame", "N/A", "calibrate", True),
+    ("Dark Frame", "calib", "calib", True),
+    ("Flat Frame", PROGRAMME, PROGRAMME, True),
+    ("Light Frame", PROGRAMME, PROGRAMME, False),
+    ("Light Frame", "calib", "calib", True),
+    ("Light Frame", None, None, None),
+    ("Light Frame", "UNKNOWN", None, None),
+])
+def test_the_ingester_has_the_proposal_of_each_copy_and_makes_public_what_our_check_says(starmesh, tmp_path, kind, given, proposal, is_public):
+    """Without a night: calibration frames are public at once, and so are frames of the sky of which the check warns."""
+    from ocs_ingester import ingester
+
+    file, out = tmp_path / "a.fits", tmp_path / "lco"
+    frame = fits.PrimaryHDU(np.zeros((3, 4), np.uint16))
+    frame.header.update({"IMAGETYP": kind, "DATE-OBS": "2026-11-21T03:12:41.006789", "EXPTIME": 1.0, "INSTRUME": INSTRUMENT, "OBSERVAT": SITE,
+                         "TELESCOP": TELESCOPE, "NIGHT": "20261120", "SCHEDROW": 7} | ({"PROPID": given} if given else {}))
+    frame.writeto(file, checksum=True)
+    made = subprocess.run([starmesh, "fits", "convert", file, "--profile", "lco", "--out", out], capture_output=True, text=True)
+    if proposal is None:
+        assert made.returncode == 1 and "PROPID is missing" in made.stderr, made.stderr
+        return
+    assert made.returncode == 0, made.stderr
+    [copy] = out.iterdir()
+    with open(copy, "rb") as opened:
+        record = ingester.validate_fits_and_create_archive_record(opened)
+    assert record["proposal_id"] == proposal and (record["public_date"] == record["observation_date"]) == is_public
+    checked = subprocess.run([starmesh, "fits", "check", copy, "--profile", "lco"], capture_output=True, text=True)
+    assert checked.returncode == 0, checked.stdout
+    for said in (made.stderr, checked.stdout):
+        assert ("becomes public at once" in said) == (is_public and kind == "Light Frame"), said
+
+
 def test_ocs_archive_refuses_our_files_as_they_are(night):
     """So that the test above can fail."""
     from ocs_ingester import ingester

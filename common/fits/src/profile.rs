@@ -147,6 +147,9 @@ pub struct KeywordRule {
     /// The texts that it may have.
     #[serde(default)]
     pub one_of: Vec<String>,
+    /// The texts that the archive takes for no value.
+    #[serde(default)]
+    pub none_of: Vec<String>,
     /// The smallest and the largest number that it may have.
     #[serde(default)]
     pub range: Option<[f64; 2]>,
@@ -217,6 +220,13 @@ impl Constant {
             Self::Number(number) => Value::Number(*number),
             Self::Text(text) => Value::Text(text.clone()),
         }
+    }
+}
+
+impl KeywordRule {
+    /// Whether the archive takes this value for none.
+    fn is_none(&self, value: &Value) -> bool {
+        matches!(value, Value::Text(text) if text.trim().is_empty() || self.none_of.iter().any(|none| none == text.trim()))
     }
 }
 

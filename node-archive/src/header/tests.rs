@@ -523,6 +523,49 @@ fn states_are_words_where_the_table_asks_for_a_text() {
     assert_eq!(of("int", 1), [1, 1, 1].map(CardValue::Int));
 }
 
+/// A row that is lost from the default table is missed by nobody else.
+#[test]
+fn what_devices_measure_is_written_by_the_default_table_and_states_as_words() {
+    let measured = [
+        ("ROTATANG", Kind::Rotator, "Position"),
+        ("PRESSURE", Kind::ObservingConditions, "Pressure"),
+        ("WINDSPD", Kind::ObservingConditions, "WindSpeed"),
+        ("WINDGUST", Kind::ObservingConditions, "WindGust"),
+        ("WINDDIR", Kind::ObservingConditions, "WindDirection"),
+        ("RAINRATE", Kind::ObservingConditions, "RainRate"),
+        ("CLOUDCVR", Kind::ObservingConditions, "CloudCover"),
+        ("MPSAS", Kind::ObservingConditions, "SkyQuality"),
+        ("SKYBRGHT", Kind::ObservingConditions, "SkyBrightness"),
+    ];
+    let around = |kind: Kind, property: &str| {
+        let at = measured.iter().position(|row| (row.1, row.2) == (kind, property));
+        let value = at.map_or(Scalar::Int(0), |at| Scalar::Float(at as f64 + 0.5));
+        polls(value.clone(), value)
+    };
+    let (cards, _) = complete(&HeaderTable::default(), &frame(), EquatorialSystem::J2000, &around);
+    for (at, (keyword, ..)) in measured.iter().enumerate() {
+        assert!((float(&cards[*keyword]) - at as f64 - 0.5).abs() < 1e-9, "{keyword} is {:?}", cards[*keyword]);
+    }
+    let states = ["PIERSIDE", "DOMESTAT", "CAM-STAT", "CAM-STYP"].map(|keyword| cards[keyword].clone());
+    assert_eq!(states, ["East", "open", "idle", "monochrome"].map(CardValue::from));
+}
+
+/// Ten years of motion are half an arcsecond of many a star.
+#[test]
+fn the_place_of_a_target_has_a_frame_and_an_epoch() {
+    let (frame, place, sensor) = (frame(), place(), Sensor::default());
+    let known = HeaderFacts { frame: &frame, place: &place, written: frame.started_utc, sensor, newest: &|_, _| None };
+    let records: Vec<String> = base(&HeaderTable::default(), &known).iter().filter_map(Card::record).collect();
+    for expected in [
+        "RA      =                 90.0 / [deg] RA of the target at DATE-OBS, ICRS",
+        "DEC     =                 50.0 / [deg] DEC of the target at DATE-OBS, ICRS",
+        "RADESYS = 'ICRS    '           / frame of RA and DEC",
+        "EQUINOX =               2000.0 / equinox of RA and DEC; their epoch is DATE-OBS",
+    ] {
+        assert!(records.iter().any(|record| record.trim_end() == expected), "{expected}: {records:?}");
+    }
+}
+
 /// A station without a rain sensor is not one that was not asked.
 #[test]
 fn a_sensor_that_a_device_does_not_have_is_not_missed() {

@@ -144,7 +144,8 @@ impl DemoNight {
             for of_telescope in &mut slots {
                 let mut best: Option<(usize, f64)> = None;
                 for (index, field) in left.iter().enumerate() {
-                    let field = Icrs::from_degrees(field.ra_deg, field.dec_deg);
+                    let [ra_deg, dec_deg] = field.place(start);
+                    let field = Icrs::from_degrees(ra_deg, dec_deg);
                     let lowest = sky::lowest_altitude(&self.place, &EarthOrientation::default(), &field, start, end)?;
                     let altitude_deg = lowest.altitude.degrees();
                     if best.is_none_or(|(_, highest)| altitude_deg > highest) {
@@ -184,7 +185,8 @@ impl Plan {
         // Coarse pixels are full of sky without a filter.
         let filters = if self.shares { FILTERS.get(..4).unwrap_or(&FILTERS) } else { &FILTERS };
         for (Slot { field, start, end }, filter) in self.slots.iter().zip(filters.iter().cycle()) {
-            let NamedField { name, ra_deg, dec_deg, exptime_s, .. } = field;
+            let NamedField { name, exptime_s, .. } = field;
+            let [ra_deg, dec_deg] = field.place(*start);
             let value = json!({
                 "object": name, "ra": ra_deg, "dec": dec_deg, "exptime": exptime_s, "n": 20, "filter": filter,
                 "pointing": true, "guiding": true,
@@ -279,7 +281,10 @@ fn block(text: &mut String, simulator: SocketAddr, kind: &str, name: &str, extra
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
+    use crate::fields::tests::{is_star, is_star_of_catalogue};
 
     fn parse(text: &str) -> config::Observatory {
         config::parse(text, std::path::Path::new(".")).unwrap()
@@ -309,7 +314,7 @@ mod tests {
                     assert_eq!((shared.place.telescope.as_str(), names(&shared)), ("shared", 2));
                 }
             }
-            let sites: std::collections::BTreeSet<&str> = plans.iter().map(|plan| plan.telescope.site).collect();
+            let sites: BTreeSet<&str> = plans.iter().map(|plan| plan.telescope.site).collect();
             assert_eq!(plans.iter().filter(|plan| plan.is_first_of_site()).count(), sites.len());
         }
         assert!(Plan::of(MOST_TELESCOPES + 1, now).is_err());
@@ -323,8 +328,9 @@ mod tests {
                 let plans = Plan::of(count, now).unwrap();
                 for (index, plan) in plans.iter().enumerate() {
                     assert_eq!(plan.slots.len(), SLOTS as usize);
-                    for Slot { field: NamedField { name, ra_deg, dec_deg, .. }, start, end } in &plan.slots {
-                        let field = Icrs::from_degrees(*ra_deg, *dec_deg);
+                    for Slot { field, start, end } in &plan.slots {
+                        let (NamedField { name, .. }, [ra_deg, dec_deg]) = (field, field.place(*start));
+                        let field = Icrs::from_degrees(ra_deg, dec_deg);
                         let (place, orientation) = (&plan.night.place, EarthOrientation::default());
                         let lowest = sky::lowest_altitude(place, &orientation, &field, *start, *end).unwrap();
                         let altitude_deg = lowest.altitude.degrees();
@@ -336,5 +342,27 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// What a header says of a target is of the row.
+    #[test]
+    fn the_stars_of_each_schedule_are_where_the_catalogue_has_them_in_that_night() {
+        let mut seen = BTreeSet::new();
+        for now in ["2026-02-15T12:00:00Z", "2026-08-15T12:00:00Z", "2026-11-27T12:00:00Z", "2036-11-27T12:00:00Z"] {
+            for plan in Plan::of(MOST_TELESCOPES, now.parse().unwrap()).unwrap() {
+                for line in plan.schedule().lines().filter(|line| line.contains(r#""action_type":"object""#)) {
+                    let row: serde_json::Value = serde_json::from_str(line).unwrap();
+                    let value = &row["action_value"];
+                    let name = value["object"].as_str().unwrap().to_owned();
+                    if is_star(&name) {
+                        let place = ["ra", "dec"].map(|key| value[key].as_f64().unwrap());
+                        let start = row["start_time"].as_str().unwrap().parse().unwrap();
+                        assert!(is_star_of_catalogue(place, start), "{name}: {place:?} in {now}");
+                        seen.insert(name);
+                    }
+                }
+            }
+        }
+        assert!(seen.is_superset(&BTreeSet::from(["WASP-18", "WASP-79", "WASP-121"].map(str::to_owned))), "{seen:?}");
     }
 }

@@ -42,7 +42,8 @@ pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::
         return Ok(text);
     };
     let lowest_deg = |field: &NamedField, start: Utc, end: Utc| {
-        let field = Icrs::from_degrees(field.ra_deg, field.dec_deg);
+        let [ra_deg, dec_deg] = field.place(start);
+        let field = Icrs::from_degrees(ra_deg, dec_deg);
         let lowest = sky::lowest_altitude(&place, &EarthOrientation::default(), &field, start, end);
         lowest.map_or(-90.0, |lowest| lowest.altitude.degrees())
     };
@@ -77,7 +78,8 @@ fn rows(
         lines.push(row.to_string());
     };
     let has = |kind: Kind| config.devices().iter().any(|(known, _)| *known == kind);
-    let NamedField { name, ra_deg, dec_deg, exptime_s, .. } = *field;
+    let NamedField { name, exptime_s, .. } = *field;
+    let [ra_deg, dec_deg] = field.place(dusk);
     let later = |seconds: f64| dusk.plus_seconds(seconds);
     if config.camera.first().is_some_and(|camera| camera.temperature_c.is_some()) {
         row("The camera is cooled to camera.temperature_c.", "cool_camera", json!({}), later(-1800.0), dawn);

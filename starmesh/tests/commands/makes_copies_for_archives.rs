@@ -136,4 +136,12 @@ fn copies_are_made_once_and_a_file_that_fails_does_not_stop_the_others() {
     assert!(given.success, "{}", given.err);
     let (cards, _) = CardList::read(fs::File::open(other.join(copy)).unwrap()).unwrap().unwrap();
     assert_eq!(cards.text("PROPID"), Some("2026001"));
+    // What the check of the copy warns of is said when it is made.
+    let public = folder.path().join("public");
+    let values = ["convert", "--profile", "lco", "--out", public.to_str().unwrap(), "--set", "PROPID=calibrate"];
+    let shown = fits(&values, &[&second]);
+    let warning = "b.fits: warning: a frame of the sky becomes public at once: PROPID is 'calibrate'";
+    assert!(shown.success && shown.err.contains(warning), "{}", shown.err);
+    let checked = fits(&["check", "--profile", "lco"], &[&public.join(copy)]);
+    assert!(checked.success && checked.out.contains(&warning["b.fits".len()..]), "{}", checked.out);
 }

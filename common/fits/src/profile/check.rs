@@ -210,8 +210,8 @@ fn wrong_value(rule: &KeywordRule, value: Option<&Value>) -> Option<Violation> {
     };
     let is_name = |text: &str| text.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_+".contains(&byte));
     let has_form = match rule.form {
-        Form::Text => text.is_some_and(|text| !text.is_empty()),
-        Form::Name => text.is_some_and(|text| !text.is_empty() && is_name(text)),
+        Form::Text => text.is_some(),
+        Form::Name => text.is_some_and(is_name),
         Form::Number => number.is_some(),
         Form::Whole => matches!(value, Value::Whole(_)),
         Form::Logical => matches!(value, Value::Logical(_)),
@@ -224,7 +224,7 @@ fn wrong_value(rule: &KeywordRule, value: Option<&Value>) -> Option<Violation> {
     let is_in_range = rule.range.is_none_or(|[low, high]| number.is_some_and(|number| (low..=high).contains(&number)));
     let is_short = rule.max_chars.is_none_or(|most| text.is_some_and(|text| text.len() <= most));
     let is_upper = !rule.upper || text.is_some_and(|text| text == text.to_ascii_uppercase());
-    if has_form && is_one && is_in_range && is_short && is_upper {
+    if has_form && !rule.is_none(value) && is_one && is_in_range && is_short && is_upper {
         return None;
     }
     let (keyword, expected, text) = (rule.name.clone(), rule.expected(), rule.rule.clone());
@@ -274,6 +274,9 @@ impl KeywordRule {
         };
         if !self.one_of.is_empty() {
             words = self.one_of.join(" or ");
+        }
+        if !self.none_of.is_empty() {
+            words.push_str(&format!(", not {}", self.none_of.join(" or ")));
         }
         if self.upper {
             words.push_str(", in capital letters");

@@ -49,7 +49,7 @@ fn value_of(rule: &KeywordRule, cards: &CardList, file: &str) -> Option<Value> {
             true => computed(source, cards, file),
             false => cards.value(source).cloned(),
         };
-        let value = value.filter(|value| !matches!(value, Value::Text(text) if text.trim().is_empty()))?;
+        let value = value.filter(|value| !rule.is_none(value))?;
         let Value::Text(text) = &value else { return Some(value) };
         let text = match rule.map.is_empty() {
             true => text.clone(),

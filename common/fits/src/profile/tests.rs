@@ -394,6 +394,46 @@ fn a_frame_that_lco_would_show_to_everybody_at_once_is_named() {
     assert_eq!(found(&bias(), &[]), [""; 0]);
 }
 
+/// ocs-archive refuses a bias without one, too, and stores texts such as N/A as no text.
+#[test]
+fn a_calibration_frame_needs_a_proposal_at_lco_and_one_with_calib_is_right() {
+    let (folder, target) = folders();
+    let lco = profile(ProfileName::Lco);
+    for (card, is_right, delivered) in [
+        ("", false, "calibrate"),
+        ("PROPID  = '        '", false, "calibrate"),
+        ("PROPID  = 'N/A'", false, "calibrate"),
+        ("PROPID  = 'UNKNOWN'", false, "calibrate"),
+        ("PROPID  = 'calib'", true, "calib"),
+        ("PROPID  = 'LCO2026B-001'", true, "LCO2026B-001"),
+    ] {
+        let mut records = bias();
+        records.retain(|record| !record.starts_with("PROGID"));
+        records.extend(Some(card).filter(|card| !card.is_empty()));
+        let source = file(folder.path(), "a.fits", &records);
+        let found = check(&source, &lco).unwrap();
+        assert_eq!(found.iter().all(|violation| violation.keyword != "PROPID"), is_right, "{card}: {found:?}");
+        assert_eq!(warnings(&source, &lco).unwrap(), [""; 0], "{card}");
+        let made = deliver_copy(&source, &target, &lco, &[]).unwrap();
+        let copied = CardList::read(fs::File::open(&made.path).unwrap()).unwrap().unwrap().0;
+        assert_eq!(copied.text("PROPID"), Some(delivered), "{card}");
+        assert_eq!(check(&made.path, &lco).unwrap(), [], "{card}");
+        fs::remove_file(made.path).unwrap();
+    }
+    // Nobody else's proposal is made up for a frame of the sky; the programme of its row is the next to ask.
+    let with = |card: &'static str| [moments::changed(card, "PROGID"), vec!["PROPID  = 'UNSPECIFIED'"]].concat();
+    let refused = deliver_copy(&file(folder.path(), "b.fits", &with("")), &target, &lco, &[]).unwrap_err().to_string();
+    assert!(refused.contains("PROPID is missing; expected a text, not N/A or UNSPECIFIED"), "{refused}");
+    let made = deliver_copy(&file(folder.path(), "b.fits", &with("PROGID  = 'P-1'")), &target, &lco, &[]).unwrap();
+    let copied = CardList::read(fs::File::open(&made.path).unwrap()).unwrap().unwrap().0;
+    assert_eq!(copied.text("PROPID"), Some("P-1"));
+    for keyword in ["INSTRUME", "SITEID", "TELID"] {
+        let card = format!("{keyword:<8}= 'UNKNOWN'");
+        let found = moments::words(&moments::changed(&card, keyword), ProfileName::Lco);
+        assert!(found.iter().any(|text| text.starts_with(&format!("{keyword} is 'UNKNOWN'; expected"))), "{found:?}");
+    }
+}
+
 #[test]
 fn the_plan_of_a_copy_is_what_the_copy_becomes() {
     let (folder, target) = folders();
