@@ -391,7 +391,7 @@ test("names that are markup, or very long, stay text, and the editor fits in eve
   await open(PHONE);
   const row = (object, at) => JSON.stringify({ device_name: MARKUP, action_type: "object", action_value: { object, ra: 24, dec: -45, exptime: MARKUP, [MARKUP]: { a: [MARKUP] } }, start_time: `2026-11-27 0${at}:00:00`, end_time: `2026-11-27 0${at + 1}:00:00`, [MARKUP]: MARKUP });
   await write(`// ${MARKUP}\n${row(MARKUP, 3)}\n${row("W".repeat(3000), 4)}\n{"__proto__": {"object": 1}, "action_type": {"tag": "img"}, "action_value": "x", "start_time": 7}`, 2);
-  await page.route("**/schedule/validate", (route) => route.fulfill({ json: { valid: false, rows: 3, errors: 1, warnings: 1, findings: [{ severity: "error", check: MARKUP, line: 2, column: 4, field: MARKUP, what: MARKUP, right: "W".repeat(500) }, { severity: "warning", check: "time", line: 99, column: 1, what: MARKUP }] } }));
+  await page.route("**/schedule/validate", (route) => route.fulfill({ json: { valid: false, rows: 3, errors: 1, warnings: 1, findings: [{ severity: "error", check: MARKUP, line: 2, column: 4, field: MARKUP, what: MARKUP, right: "W".repeat(500), fix: { line: 2, column: 1, end_line: 2, end_column: 2, text: MARKUP.repeat(20) } }, { severity: "warning", check: "time", line: 99, column: 1, what: MARKUP }] } }));
   await area().press("End");
   await area().pressSequentially(" ");
   await page.getByTestId("findings").locator("li").nth(1).waitFor();
@@ -440,6 +440,46 @@ test("a value is changed where it stands, and rows are told apart as the observa
     first: `${text[0]}\nN\nA\n\n${text[3]}\nB\n// the end`, middle: `${text[0]}\nA\nN\n\n${text[3]}\nB\n// the end`, last: `${text[0]}\nA\n\n${text[3]}\nB\nN\n// the end`, removed: [...text.slice(0, 4), "// the end"].join("\n"), beside: '{"a":1} ',
     broken: [{ b: 2 }, { d: 4 }], many: 0, order: 0, number: ["changed"], twins: ["added"], other: [["changed", { field: "a", before: 1, after: 2 }], ["added"]],
   });
+});
+
+test("a finding whose fix is sure has a button that makes it: one step each, and nothing else of the text changes", TEST, async () => {
+  await open();
+  const twin = lines(WRITTEN)[0];
+  const text = `${WRITTEN.replace('"exptime": 120.0,   "filter": "R"', '"object2": "🔭", "exptime": 120000.0,   "filter": "R🔭"')}\n${twin}\n`;
+  // A place is a line and a character of it, of which the page's own texts may have two units.
+  const place = (now, at) => { const before = now.slice(0, at).split("\n"); return [before.length, [...before[before.length - 1]].length + 1]; };
+  const finding = (now, old, put) => {
+    const at = now.lastIndexOf(old);
+    const [[line, column], [end_line, end_column]] = [place(now, at), place(now, at + old.length)];
+    return { severity: "error", check: "schema", line, column, what: "is wrong", fix: { line, column, end_line, end_column, text: put } };
+  };
+  let isHeld = false;
+  await page.route("**/schedule/validate", (route) => {
+    const now = route.request().postData();
+    const wrong = [[', "object2": "🔭"', ""], ["120000.0", "86400"], ['"R🔭"', '"R"'], [twin, ""]].filter(([old]) => now.split(old).length > (old === twin ? 2 : 1));
+    const findings = [...wrong.map(([old, put]) => finding(now, old, put)), { severity: "warning", check: "moon", line: 5, column: 1, what: "the Moon stands near" }];
+    return isHeld ? undefined : route.fulfill({ json: { valid: !wrong.length, rows: 3, errors: wrong.length, warnings: 1, findings } });
+  });
+  await write(text, 3);
+  const fix = page.getByTestId("fix");
+  await becomes(() => fix.count(), 4, "the Moon has none");
+  let now = text;
+  for (const [name, old, put] of [['Use "R" in line 7', '"R🔭"', '"R"'], ["Use 86400 in line 7", "120000.0", "86400"], ["Remove in line 7", ', "object2": "🔭"', ""], ["Remove in line 10", `// the end\n${twin}\n`, "// the end\n"]]) {
+    await button(name).click();
+    now = now.replace(old, put);
+    await becomes(draft, now, name);
+  }
+  assert.equal(now, `${WRITTEN.replace("120.0", "86400")}\n`);
+  await becomes(() => fix.count(), 0, "all are made");
+  await button("Undo: fixing line 10").click();
+  await becomes(() => fix.count(), 1, "one step back");
+  await becomes(async () => lines(await draft()).length, 3);
+  // Findings of a text that is gone say nothing of the places of this one.
+  isHeld = true;
+  await area().press("End");
+  await area().pressSequentially(" ");
+  await becomes(() => fix.isDisabled(), true, "until it is looked at again");
+  assert.deepEqual(unexpected(), []);
 });
 
 test("the dry run shows what the draft would do, and says when it is of an older text", TEST, async () => {

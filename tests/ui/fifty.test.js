@@ -57,7 +57,7 @@ test("in no view and at no width does a part cover another, and the page does no
         const name = one.getAttribute("data-telescope");
         const box = (part) => one.querySelector(part)?.getBoundingClientRect();
         const outer = one.getBoundingClientRect();
-        const parts = [".tile-h b", ".what", ".btn", ".stats"].map((part) => [part, box(part)]).filter(([, found]) => found?.width);
+        const parts = [".tile-h b", ".what", ".thumb", ".expected", ".btn", ".stats"].map((part) => [part, box(part)]).filter(([, found]) => found?.width);
         const found = parts.filter(([, at]) => at.left < outer.left || at.right > outer.right + 0.5 || at.bottom > outer.bottom + 0.5 || at.top < outer.top - 0.5).map(([part]) => `${name}: ${part} leaves its tile`);
         for (const [i, [first, a]] of parts.entries()) for (const [second, b] of parts.slice(i + 1)) if (a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1) found.push(`${name}: ${first} covers ${second}`);
         return found;

@@ -74,6 +74,29 @@ test("a device that the step needs and that does not answer stands beside the st
   assert.deepEqual(problems, []);
 });
 
+test("a card counts its step down in the words of the telescope's page, and tells by how much it is late", TEST, async () => {
+  const state = "demo/beta/observatory/night/state";
+  const night = (await bus.states())[state];
+  const due = (utc) => bus.put({ [state]: { ...night, actions: [{ ...night.actions[0], expected_by_utc: utc }] } });
+  const expected = tile("demo/beta").locator('[data-testid="expected"]');
+  for (const [viewport, ahead] of /** @type {const} */ ([[WIDE, /^should end by 09:00:00, in \d h \d+ min$/], [PHONE, /^should end in \d h \d+ min$/]])) {
+    await due("2026-11-27T09:00:00.000000Z");
+    await open("/", viewport);
+    await expected.waitFor();
+    await becomes(() => text(expected), (said) => ahead.test(said), "counted down");
+    const lines = await expected.evaluate((one) => one.getBoundingClientRect().height / parseFloat(getComputedStyle(one).lineHeight));
+    assert.ok(viewport === WIDE || lines < 1.5, `${lines} lines on a phone`);
+    await due("2026-11-27T02:20:00.000000Z");
+    await expected.filter({ hasText: /^should have ended \d+ (min|h) .*ago$/ }).waitFor();
+    await becomes(() => expected.getAttribute("class"), (name) => /ink-p2/.test(name), "it stands out");
+    const [said, card] = await Promise.all([expected, tile("demo/beta")].map(boxOf));
+    assert.ok(said.x >= card.x && said.x + said.width <= card.x + card.width && said.y + said.height <= card.y + card.height, `${viewport.width} px: it stays in its card`);
+  }
+  await bus.put({ [state]: night });
+  await expected.waitFor({ state: "detached" });
+  assert.deepEqual(problems, []);
+});
+
 test("the last image has the measures of its own frame, though those of the next one are here already", TEST, async () => {
   await open("/t/demo/alpha", WIDE);
   const card = page.locator('section[aria-label="Last image"]');

@@ -1,6 +1,6 @@
 //! Why a schedule is refused, and the making of findings.
 
-use contract::observatory::{Check, Finding, Severity};
+use contract::observatory::{Check, Finding, Fix, Severity};
 
 use crate::written::Position;
 
@@ -41,7 +41,7 @@ impl std::error::Error for Fault {}
 pub fn error(check: Check, at: Position, field: Option<&str>, what: impl Into<String>) -> Finding {
     let Position { line, column } = at;
     let (field, what) = (field.map(|field| cut(field.to_owned(), 64)), cut(what.into(), 400));
-    Finding { severity: Severity::Error, check, line, column, field, what, right: None }
+    Finding { severity: Severity::Error, check, line, column, field, what, right: None, fix: None }
 }
 
 /// A quoted text may be of any length; a message is limited.
@@ -60,13 +60,19 @@ pub fn warning(check: Check, at: Position, field: Option<&str>, what: impl Into<
 
 /// Adds the right value to a finding.
 pub(super) trait Right {
-    /// Adds it.
+    /// Adds it in words.
     fn right(self, right: impl Into<String>) -> Self;
+    /// Adds the change of the text that makes it so.
+    fn fix(self, fix: Option<Fix>) -> Self;
 }
 
 impl Right for Finding {
     fn right(self, right: impl Into<String>) -> Self {
         Self { right: Some(right.into()), ..self }
+    }
+
+    fn fix(self, fix: Option<Fix>) -> Self {
+        Self { fix, ..self }
     }
 }
 

@@ -15,13 +15,11 @@ use crate::fault::{Right as _, error};
 use crate::row::{Row, RowId};
 use crate::times::{self, Read};
 use crate::written::{Of, Position, Written};
-use crate::wrong::Wrong;
+use crate::wrong::{Mend, Wrong};
 
 const FIELDS: [&str; 6] = ["device_name", "action_type", "action_value", "start_time", "end_time", "programme"];
 /// Written by Astra into its own output, meaningless on reading.
 const IGNORED: [&str; 2] = ["completed", "status"];
-/// Parameters that are sometimes written next to `action_value` instead of in it.
-const PARAMETERS: [&str; 4] = ["execute_parallel", "exptime", "filter", "object"];
 /// So many fields of one row are reported.
 const MOST_WRONG: usize = 16;
 /// The text for an unknown parameter.
@@ -99,12 +97,16 @@ impl<'a> RowObject<'a> {
     fn names(&mut self) {
         let object = self.object;
         let is_known = |key: &str| FIELDS.contains(&key) || IGNORED.contains(&key);
+        let is_parameter = |key: &str| ACTIONS.iter().any(|entry| !entry.schema()["properties"][key].is_null());
         for key in object.keys().filter(|key| !is_known(key.as_str())).take(MOST_WRONG) {
             let at = self.written.key(Of::Row, key);
             let found = error(Check::Schema, at, Some(key), format!("unknown key {key:?}"));
-            self.report(match PARAMETERS.contains(&key.as_str()) {
+            self.report(match is_parameter(key) {
                 true => found.right("it belongs into action_value"),
-                false => found.right(meant(key, FIELDS)),
+                false => {
+                    let fix = self.written.mend(Of::Row, key, Some(Mend::name(key, FIELDS)));
+                    found.right(meant(key, FIELDS)).fix(fix)
+                }
             });
         }
         for (name, at) in self.written.doubled().take(MOST_WRONG) {
@@ -136,7 +138,8 @@ impl<'a> RowObject<'a> {
             let at = self.written.field("device_name");
             let known = cameras.iter().map(Name::as_str);
             let found = error(Check::Device, at, Some("device_name"), format!("no camera is named {wanted:?}"));
-            self.report(found.right(meant(&wanted, known)));
+            let fix = self.written.mend(Of::Row, "device_name", Mend::word(&wanted, known.clone()));
+            self.report(found.right(meant(&wanted, known)).fix(fix));
         }
         found
     }
@@ -153,7 +156,13 @@ impl<'a> RowObject<'a> {
         // An hour after midnight with the date of the evening.
         let next_day = end.plus_seconds(DAY_S);
         let is_next_day = next_day > start && next_day.seconds_since(start) <= 0.75 * DAY_S;
-        self.report(if is_next_day { found.right(format!("did you mean {}?", when(next_day))) } else { found });
+        self.report(if is_next_day {
+            let right = when(next_day);
+            let mend = Mend::Value(Value::from(right.as_str()).to_string());
+            found.right(format!("did you mean {right}?")).fix(self.written.mend(Of::Row, "end_time", Some(mend)))
+        } else {
+            found
+        });
         None
     }
 
@@ -205,7 +214,9 @@ impl<'a> RowObject<'a> {
         let Some(entry) = ACTIONS.iter().find(|entry| entry.name == name) else {
             let at = self.written.field("action_type");
             let found = error(Check::Schema, at, Some("action_type"), format!("unknown action_type {name:?}"));
-            self.report(found.right(meant(&name, ACTIONS.iter().map(|entry| entry.name))));
+            let known = ACTIONS.iter().map(|entry| entry.name);
+            let fix = self.written.mend(Of::Row, "action_type", Mend::word(&name, known.clone()));
+            self.report(found.right(meant(&name, known)).fix(fix));
             return None;
         };
         let object = self.object;
@@ -246,9 +257,17 @@ impl<'a> RowObject<'a> {
             };
             let found = error(Check::Schema, at, field.as_deref(), what);
             let given = field.as_ref().and_then(|field| value.get(field)).and_then(Value::as_str);
-            let hint = field.as_deref().zip(given).and_then(|(field, given)| as_number(field, given));
-            self.report(match hint {
+            let (hint, number) = field.as_deref().zip(given).and_then(|(field, given)| as_number(field, given)).unzip();
+            let found = match hint {
                 Some(hint) => found.right(hint),
+                None => found,
+            };
+            let mend = wrong.mend.or(number.flatten());
+            self.report(match &field {
+                Some(name) => {
+                    let mend = mend.filter(|mend| takes(entry, name, mend));
+                    found.fix(self.written.mend(Of::Parameters, name, mend))
+                }
                 None => found,
             });
             let name = field.filter(|_| few && mended.len() < MOST_WRONG)?;
@@ -270,18 +289,31 @@ impl<'a> RowObject<'a> {
     }
 }
 
-/// A text where a number belongs: an angle of three parts, or a number in quotes.
-fn as_number(field: &str, given: &str) -> Option<String> {
+/// A text where a number belongs, an angle of three parts or a number in quotes: what is right, and what mends it.
+fn as_number(field: &str, given: &str) -> Option<(String, Option<Mend>)> {
     if let Some(number) = given.trim().parse::<f64>().ok().filter(|number| number.is_finite()) {
-        return Some(format!("leave the quotes away: {number}"));
+        return Some((format!("leave the quotes away: {number}"), Some(Mend::Value(number.to_string()))));
     }
     let degrees = config::sexagesimal(given)?;
-    Some(match field {
-        "ra" if given.contains(['d', '\u{b0}']) => format!("in degrees that is {degrees:.5}"),
-        "ra" => format!("ra is in degrees: {:.5} if these are hours, {degrees:.5} if they are degrees", 15.0 * degrees),
-        "dec" | "alt" | "az" => format!("{field} is in degrees: {degrees:.5}"),
+    let (text, of_hours) = (format!("{degrees:.5}"), 15.0 * degrees);
+    let may_be_hours = field == "ra" && !given.contains(['d', '\u{b0}']);
+    let words = match field {
+        "ra" if may_be_hours => {
+            format!("ra is in degrees: {of_hours:.5} if these are hours, {text} if they are degrees")
+        }
+        "ra" => format!("in degrees that is {text}"),
+        "dec" | "alt" | "az" => format!("{field} is in degrees: {text}"),
         _ => return None,
-    })
+    };
+    Some((words, (!may_be_hours).then_some(Mend::Value(text))))
+}
+
+/// Does an action take a parameter with its new value? Another name is looked at when it stands there.
+fn takes(entry: &Entry, name: &str, mend: &Mend) -> bool {
+    let Mend::Value(text) = mend else { return true };
+    let mut value = example(entry);
+    value.insert(name.to_owned(), serde_json::from_str(text).unwrap_or_default());
+    entry.read(Value::Object(value)).err().is_none_or(|wrong| wrong.field.as_deref() != Some(name))
 }
 
 /// Parameters that are valid, as a test proves.

@@ -1,6 +1,13 @@
 //! The places of the rows of a schedule and of their fields: lines and columns.
 
 use std::collections::HashSet;
+use std::ops::Range;
+
+use contract::observatory::Fix;
+use serde::de::IgnoredAny;
+use serde_json::Value;
+
+use crate::wrong::Mend;
 
 /// A place in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -47,6 +54,8 @@ impl<'a> Cursor<'a> {
 pub struct Written {
     /// Its brace.
     pub begin: Position,
+    /// After its last brace.
+    end: Position,
     fields: Vec<WrittenField>,
 }
 
@@ -57,7 +66,11 @@ struct WrittenField {
     /// Of `action_value`.
     is_parameter: bool,
     key: Position,
+    key_end: Position,
     value: Position,
+    value_end: Position,
+    /// No list and no map, in which comments may stand.
+    is_plain: bool,
 }
 
 /// Of the row itself, or of its `action_value`.
@@ -73,17 +86,23 @@ impl Written {
         let begin = cursor.offset;
         let mut here = cursor;
         let mut fields = Vec::new();
-        for span in spans(blanked.get(begin..end).unwrap_or_default()) {
-            here = here.to(begin + span.key);
+        let row = blanked.get(begin..end).unwrap_or_default();
+        for FieldBytes { name, is_parameter, key: key_bytes, value: at } in spans(row) {
+            here = here.to(begin + key_bytes.start);
             let key = here.position;
-            here = here.to(begin + span.value);
-            fields.push(WrittenField { name: span.name, is_parameter: span.is_parameter, key, value: here.position });
+            here = here.to(begin + key_bytes.end);
+            let key_end = here.position;
+            here = here.to(begin + at);
+            // The fields within it are before its end.
+            let value_end = here.to(begin + end_of_value(row, at)).position;
+            let is_plain = !row.get(at..).is_some_and(|value| value.starts_with(['{', '[']));
+            fields.push(WrittenField { name, is_parameter, key, key_end, value: here.position, value_end, is_plain });
         }
-        Self { begin: cursor.position, fields }
+        Self { begin: cursor.position, end: here.to(end).position, fields }
     }
 
     fn find(&self, of: Of, name: &str) -> Option<&WrittenField> {
-        self.fields.iter().find(|field| field.is_parameter == (of == Of::Parameters) && field.name == name)
+        self.fields.iter().find(|field| is(field, of, name))
     }
 
     /// Where a field's name stands; the row's begin where it has none.
@@ -114,6 +133,43 @@ impl Written {
         self.value(Of::Row, name)
     }
 
+    /// The change of the text that mends a field. `None` where it stands twice or not at all, where its value is a list or
+    /// a map that would be another one, where the name that it is to have is taken, and where a comment may be in the way.
+    pub(super) fn mend(&self, of: Of, name: &str, mend: Option<Mend>) -> Option<Fix> {
+        let is_only = |of, name| self.fields.iter().filter(|field| is(field, of, name)).count() == 1;
+        if !is_only(of, name) || (of == Of::Parameters && !is_only(Of::Row, "action_value")) {
+            return None;
+        }
+        let field = self.find(of, name)?;
+        match mend? {
+            Mend::Name(other) => {
+                let text = Value::from(other.as_str()).to_string();
+                self.find(of, &other).is_none().then(|| fix(field.key, field.key_end, text))
+            }
+            Mend::Value(text) => field.is_plain.then(|| fix(field.value, field.value_end, text)),
+            Mend::Remove => self.removed(field),
+        }
+    }
+
+    /// A field goes with the comma before it, the first one with that after it.
+    fn removed(&self, field: &WrittenField) -> Option<Fix> {
+        let beside = |other: &&WrittenField| other.is_parameter == field.is_parameter;
+        let before = self.fields.iter().filter(beside).take_while(|other| other.key < field.key).last();
+        let after = self.fields.iter().filter(beside).find(|other| other.key > field.key);
+        let (from, to, gap) = match (before, after) {
+            (Some(before), _) => (before.value_end, field.value_end, (before.value_end, field.key)),
+            (None, Some(after)) => (field.key, after.key, (field.value_end, after.key)),
+            (None, None) => (field.key, field.value_end, (field.key, field.key)),
+        };
+        // A comment has a line of its own.
+        (gap.1.line <= gap.0.line.saturating_add(1)).then(|| fix(from, to, String::new()))
+    }
+
+    /// The change of the text that takes the whole row out.
+    pub(super) fn without(&self) -> Fix {
+        fix(self.begin, self.end, String::new())
+    }
+
     /// Names that stand a second time, with their places.
     pub(super) fn doubled(&self) -> impl Iterator<Item = (&str, Position)> {
         let mut seen = HashSet::new();
@@ -122,11 +178,20 @@ impl Written {
     }
 }
 
+fn is(field: &WrittenField, of: Of, name: &str) -> bool {
+    field.is_parameter == (of == Of::Parameters) && field.name == name
+}
+
+fn fix(from: Position, to: Position, text: String) -> Fix {
+    Fix { line: from.line, column: from.column, end_line: to.line, end_column: to.column, text }
+}
+
 /// A field as bytes of its row.
 struct FieldBytes {
     name: String,
     is_parameter: bool,
-    key: usize,
+    key: Range<usize>,
+    /// Where its value begins.
     value: usize,
 }
 
@@ -153,7 +218,7 @@ fn spans(text: &str) -> Vec<FieldBytes> {
                 if is_object && expects_key && (depth == 1 || is_parameters) {
                     let raw = text.get(at..end).unwrap_or_default();
                     let name = serde_json::from_str(raw).unwrap_or_else(|_| raw.trim_matches('"').to_owned());
-                    found.push(FieldBytes { name, is_parameter: depth == 2, key: at, value: at });
+                    found.push(FieldBytes { name, is_parameter: depth == 2, key: at..end, value: at });
                     expects_value = true;
                 }
                 expects_key = false;
@@ -180,6 +245,14 @@ fn spans(text: &str) -> Vec<FieldBytes> {
         at += 1;
     }
     found
+}
+
+/// The byte after the value that begins at `at`.
+fn end_of_value(text: &str, at: usize) -> usize {
+    let rest = text.get(at..).unwrap_or_default();
+    let mut values = serde_json::Deserializer::from_str(rest).into_iter::<IgnoredAny>();
+    let _ = values.next();
+    at + values.byte_offset()
 }
 
 /// The byte after the string that begins at `at`.

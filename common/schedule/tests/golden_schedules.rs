@@ -9,7 +9,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use contract::observatory::{Finding, Severity};
+use contract::observatory::{Finding, Fix, ScheduleFindings, Severity};
 use proptest::prelude::*;
 use schedule::validate::{KnownFacts, accept, validate};
 
@@ -174,6 +174,91 @@ fn what_a_wheel_reports_counts_before_what_is_configured() {
     let wheel = known().with_filters(&"wheel".parse().unwrap(), vec!["Sloan r".to_owned()]);
     assert!(validate(&row("V"), &known()).valid && !validate(&row("Sloan r"), &known()).valid);
     assert!(!validate(&row("V"), &wheel).valid && validate(&row("Sloan r"), &wheel).valid);
+}
+
+/// A text with a finding's fix made.
+fn fixed(text: &str, fix: &Fix) -> String {
+    let at = |line: u32, column: u32| {
+        let before: usize = text.split_inclusive('\n').take(line as usize - 1).map(str::len).sum();
+        before + text[before..].chars().take(column as usize - 1).map(char::len_utf8).sum::<usize>()
+    };
+    format!("{}{}{}", &text[..at(fix.line, fix.column)], fix.text, &text[at(fix.end_line, fix.end_column)..])
+}
+
+#[test]
+fn a_fix_takes_its_finding_away() {
+    let mut fixes = 0;
+    for file in &golden_files() {
+        let text = std::fs::read_to_string(file).unwrap();
+        let text = text.trim_start_matches('\u{feff}');
+        let found = validate(text, &known());
+        for finding in &found.findings {
+            let Some(fix) = &finding.fix else { continue };
+            let same = |all: &ScheduleFindings| {
+                let is_same = |one: &&Finding| (&one.field, &one.what) == (&finding.field, &finding.what);
+                all.findings.iter().filter(is_same).count()
+            };
+            let after = fixed(text, fix);
+            assert!(same(&validate(&after, &known())) < same(&found), "{}: {finding}\n{after}", file.display());
+            fixes += 1;
+        }
+    }
+    assert!(fixes >= 8, "{fixes} fixes");
+}
+
+/// Two rows of which the second repeats the first, and everything of the first that has a fix is wrong.
+const WRONG: &str = r#"// é 🔭
+{"device_name": "mian", "note": "🔭",
+ // the field
+ "action_type": "objekt", "action_value": {"zzzzzzzzzz": 1, "object": "é🔭", "exptim": "60",  "bin": 99, "ra": 60.0, "dec": "-30:00:00", "filter": "Clear "},
+ "start_time": "2026-11-20 23:00:00",   "end_time": "2026-11-20 02:00:00"}"#;
+const RIGHT: &str = r#"// é 🔭
+{"device_name": "main",
+ // the field
+ "action_type": "object", "action_value": {"object": "é🔭", "exptime": 60,  "bin": 16, "ra": 60.0, "dec": -30.00000, "filter": "clear"},
+ "start_time": "2026-11-20 23:00:00",   "end_time": "2026-11-21T02:00:00Z"}"#;
+
+#[test]
+fn fixes_one_after_the_other_change_what_they_name_and_nothing_else() {
+    let mut text = WRONG.to_owned();
+    for _ in 0..20 {
+        let found = validate(&text, &known()).findings;
+        let Some(fix) = found.into_iter().find_map(|finding| finding.fix) else { break };
+        text = fixed(&text, &fix);
+    }
+    assert_eq!(text, RIGHT);
+    let twice = validate(&format!("{RIGHT} {}", RIGHT.replace("// é 🔭\n", "")), &known()).findings;
+    let fixes: Vec<&Fix> = twice.iter().filter_map(|finding| finding.fix.as_ref()).collect();
+    let [fix] = fixes.as_slice() else { panic!("{twice:?}") };
+    assert_eq!((fix.line, fix.end_line, fix.text.as_str()), (5, 8, ""));
+    assert_eq!(fixed(&format!("{RIGHT} {}", RIGHT.replace("// é 🔭\n", "")), fix), format!("{RIGHT} "));
+}
+
+#[test]
+fn what_is_not_sure_to_be_right_has_no_fix() {
+    let row = |own: &str, value: &str| {
+        format!(
+            r#"{{"device_name": "main", {own}"action_type": "object", "action_value": {{"object": "x", "ra": 60.0, "dec": -30.0{value}}}, "start_time": "2026-11-21 03:00:00", "end_time": "2026-11-21 05:00:00"}}"#
+        )
+    };
+    for (own, value) in [
+        ("", r#", "exptime": -1"#),
+        ("", r#", "exptime": 60, "exptim": 30"#),
+        ("", r#", "exptime": 60, "alt": 95"#),
+        ("", r#", "exptime": 60, "bin": [99]"#),
+        ("", r#", "exptime": 60, "bin": 99, "bin": 99"#),
+        (r#""exptime": 60, "#, r#", "exptime": 60"#),
+        ("\n// why\n\"note\": 1, ", r#", "exptime": 60"#),
+    ] {
+        let found = validate(&row(own, value), &known());
+        let fixes: Vec<&Finding> = found.findings.iter().filter(|finding| finding.fix.is_some()).collect();
+        assert!(found.errors > 0 && fixes.is_empty(), "{own} {value}: {found:?}");
+    }
+    // A coordinate beyond its range is no other place, and one that may be hours is not changed.
+    for ra in ["400.0", "\"04:00:00\""] {
+        let found = validate(&row("", ", \"exptime\": 60").replace("60.0", ra), &known());
+        assert!(found.errors > 0 && found.findings.iter().all(|finding| finding.fix.is_none()), "{ra}: {found:?}");
+    }
 }
 
 /// The example `validates_500_rows` measures the time; here it must end at all, and report all.

@@ -8,15 +8,22 @@ import { DraftLine, shifted } from "./draftline.js";
 import { clock, duration, nightOf, number } from "./format.js";
 import { Card, Dialog, Empty, Guard, Shape, Table } from "./parts.js";
 import { RowForm } from "./row.js";
-import { difference, lineOf, moved, nameOf, rowsOf, withNew, withRow, without } from "./rowtext.js";
+import { difference, fixed, lineOf, moved, nameOf, placeOf, rowsOf, withNew, withRow, without } from "./rowtext.js";
 import { moment, useTopic } from "./store.js";
 import { templateOf } from "./templates.js";
 
 /** Findings come when nothing was written for so long, ms. */
 const QUIET_MS = 500;
 
+/** What makes the fix of a finding, if it has one; `onFix` is absent while the text is another one than that with the findings. */
+const Fix = ({ finding: { fix, line }, onFix }) => {
+  if (!fix) return null;
+  const word = fix.text ? `Use ${fix.text}` : "Remove";
+  return html`<button class="btn sm soft fix" data-testid="fix" title=${word} disabled=${!onFix} onClick=${() => onFix(fix)}><span class="cut">${word}<span class="vh"> in line ${line}</span></span></button>`;
+};
+
 /** Findings stand with their line; a touch goes there. */
-const Findings = ({ findings, onGo }) => (findings.length ? html`<ul class="findings" data-testid="findings">${findings.map((finding, i) => html`<li key=${i} class=${`note ${finding.severity === "error" ? "p2" : "p3"}`}><button class="btn sm quiet" onClick=${() => onGo(finding)}>line ${finding.line ?? "—"}</button><span class="grow"><b>${finding.field ?? finding.check}</b> ${finding.what}${finding.right ? `; ${finding.right}` : ""}</span></li>`)}</ul>` : html`<p class="m">No findings.</p>`);
+const Findings = ({ findings, onGo, onFix }) => (findings.length ? html`<ul class="findings" data-testid="findings">${findings.map((finding, i) => html`<li key=${i} class=${`note ${finding.severity === "error" ? "p2" : "p3"}`}><button class="btn sm quiet" onClick=${() => onGo(finding)}>line ${finding.line ?? "—"}</button><span class="grow"><b>${finding.field ?? finding.check}</b> ${finding.what}${finding.right ? `; ${finding.right}` : ""}</span><${Fix} finding=${finding} onFix=${onFix} /></li>`)}</ul>` : html`<p class="m">No findings.</p>`);
 
 /** Saves a text as a file of this computer. */
 function save(text, name) {
@@ -97,7 +104,7 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
     const timer = setTimeout(async () => {
       const asked = text.peek();
       const found = await ask(`${base(id)}/validate`, { method: "POST", headers: { "Content-Type": "application/jsonl" }, body: asked }).catch((error) => ({ error }));
-      if (asked === text.peek()) checked.value = found;
+      if (asked === text.peek()) checked.value = { ...found, text: asked };
     }, QUIET_MS);
     return () => clearTimeout(timer);
   }, [text.value]);
@@ -137,9 +144,10 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
     put(isPlaced ? withRow(raw, rowsOf(raw)[0], moved(chosen, from, to)) : raw, isPlaced ? from : Infinity, `duplicating ${nameOf(chosen.row)}`);
   };
   const simulate = async () => { const asked = text.peek(); dry.value = { text: asked, ...await ask(`${base(id)}/simulate`, { method: "POST", headers: { "Content-Type": "application/jsonl" }, body: asked }) }; };
-  const goTo = (finding) => {
-    const before = text.peek().split("\n").slice(0, (finding.line ?? 1) - 1);
-    choose(before.reduce((sum, one) => sum + one.length + 1, 0) + (finding.column ?? 1) - 1, true);
+  const goTo = ({ line = 1, column = 1 }) => choose(placeOf(text.peek(), line, column), true);
+  const mend = (fix) => {
+    draft.edit(fixed(text.peek(), fix), `fixing line ${fix.line}`);
+    choose(placeOf(text.peek(), fix.line, fix.column));
   };
   const activate = async (event) => {
     event.preventDefault();
@@ -174,7 +182,7 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
     <${Card} name="The draft over the night" end=${html`<span class="key">draft</span><span class="key dash">in force</span>`} cls="tl"><${DraftLine} rows=${rows} marked=${marked} inForce=${inForceRows} plan=${plan?.rows} site=${site} now=${moment.value ?? Date.now()} chosen=${chosen} onChoose=${(row) => choose(row.from)} onOpen=${(row) => { form.value = { row }; }} onMove=${move} /><//>
     <div class="grid draft-parts"><${Card} name="Text" end=${html`<input ref=${file} type="file" class="vh" tabindex="-1" aria-label="A file with a schedule" accept=".jsonl,.json,.txt" onChange=${press(async (event) => { const [one] = event.target.files; event.target.value = ""; if (one) await draft.upload(one); })} /><button class="btn quiet sm" onClick=${() => file.current.click()}>Upload …</button><button class="btn quiet sm" onClick=${() => save(text.peek(), `${id.replaceAll("/", "-")}-${nightOf(moment.value ?? Date.now())}.jsonl`)}>Download</button><button class="btn quiet sm" onClick=${press(draft.startOver)}>Start over</button>`}><${Text} draft=${draft} area=${area} caret=${caret} chosen=${chosen} marked=${marked} /><//>
       <div class="grid"><${Chosen} row=${chosen} onAdd=${() => { form.value = { row: null }; }} onChange=${() => { form.value = { row: chosen }; }} onDuplicate=${duplicate} onRemove=${() => draft.edit(without(text.peek(), chosen), `removing ${nameOf(chosen.row)}`)} />
-        <${Card} name="Findings">${checked.value?.error ? html`<div class="note p2" role="alert"><span class="grow">${checked.value.error.message}</span></div>` : html`<${Findings} findings=${findings} onGo=${goTo} />`}<//>
+        <${Card} name="Findings">${checked.value?.error ? html`<div class="note p2" role="alert"><span class="grow">${checked.value.error.message}</span></div>` : html`<${Findings} findings=${findings} onGo=${goTo} onFix=${checked.value?.text === text.value ? mend : null} />`}<//>
         <${Card} name="Compared with what is in force" flush end=${`${changes.length} ${changes.length === 1 ? "row" : "rows"}`}><${Changes} label="The draft compared with the schedule in force" changes=${changes} /><//></div></div>
     ${dry.value && html`<${Card} name="Dry run" flush testid="dry-run" end=${plan ? plan.night && `${plan.night.frames} frames, ${number(plan.night.gigabytes, 1)} GB, ${duration(plan.night.dark_exposed_s)} of ${duration(plan.night.dark_s)} dark time exposed` : "before the last change"}>
       <${Table} label="Dry run" cls="cards" columns=${[{ key: "r", name: "Row" }, { key: "b", name: "Runs" }, { key: "f", name: "Frames", num: true }, { key: "n", name: "Outcome" }]} rows=${dry.value.rows} keyOf=${(row) => row.row} cells=${(row) => html`<td class="k">${row.row + 1} ${[row.action, row.object].filter(Boolean).join(" ")}</td><td>${row.start_utc ? `${clock(row.start_utc)} to ${row.end_utc ? clock(row.end_utc) : "—"}` : "will not run"}</td><td class="num">${row.frames_wanted ? `${row.frames} of ${row.frames_wanted}` : row.frames || ""}</td><td class="m">${row.note ?? (row.whole === false ? "not whole" : "")}</td>`} /><//>`}

@@ -1,7 +1,7 @@
 // Pieces that many pages show: icons, words, ages, values, cards. Their looks are those of starmesh.css.
 import { Component, computed, html, useEffect, useRef, useSignal } from "./lib.js";
 import { clock, duration } from "./format.js";
-import { link, quality, skySpeed, tick } from "./store.js";
+import { link, quality, skyNow, skySpeed, tick } from "./store.js";
 
 export const Icon = ({ name, cls = "" }) => html`<svg class=${`i ${cls}`} aria-hidden="true"><use href=${`#i-${name}`} /></svg>`;
 export const Shape = ({ n }) => html`<svg class="sh" aria-hidden="true"><use href=${`#sh${n}`} /></svg>`;
@@ -127,6 +127,16 @@ export const realTime = () => (skySpeed() === 1 ? "" : ", real time");
 
 /** Devices that do not answer though the action under way needs them, each with how long. */
 export const Missing = ({ of }) => of.map((device) => html`<span class="ink-p2 missing" key=${device.key} data-testid="missing" data-device=${`${device.kind}/${device.name}`}><${Shape} n=2 />${device.name} has not answered for ${duration(device.silent)}${realTime()}</span>`);
+
+/** By when the step under way should have ended, counted down; beyond it, by how much it is late. Under a sky that runs faster than the machine the time is
+    mostly the machine's, and means nothing to a person. */
+export function Expected({ by }) {
+  tick.value; // eslint-disable-line no-unused-expressions
+  const sky = skyNow();
+  if (!by || !sky || skySpeed() > 1) return null;
+  const left = (Date.parse(by) - sky) / 1000;
+  return html`<span class=${`expected ${left < 0 ? "ink-p2" : "m"}`} data-testid="expected">${left < 0 ? html`should have ended ${duration(-left)} ago` : html`should end <span class="by">by ${clock(by)}, </span><span class="nw">in ${duration(left)}</span>`}</span>`;
+}
 
 /** An age that ticks, with the word for what it is worth: seconds, or what gives them where it is drawn without its surroundings. */
 export function Age({ s, worth, never = "not received yet", after = "" }) {

@@ -146,6 +146,19 @@ export function without(text, { from, to }) {
   return isAlone ? text.slice(0, start) + text.slice(end) : text.slice(0, from) + text.slice(to);
 }
 
+/** Where the character `column` of a line stands in a text; both count from 1, and characters are those of Unicode, as in findings. */
+export function placeOf(text, line, column) {
+  const lines = text.split("\n");
+  const before = lines.slice(0, line - 1).reduce((sum, one) => sum + one.length + 1, 0);
+  return before + [...(lines[line - 1] ?? "")].slice(0, column - 1).join("").length;
+}
+
+/** A text with the fix of a finding made: another text in the place of what it names, or nothing. */
+export function fixed(text, fix) {
+  const [from, to] = [placeOf(text, fix.line, fix.column), placeOf(text, fix.end_line, fix.end_column)];
+  return fix.text ? text.slice(0, from) + fix.text + text.slice(to) : without(text, { from, to });
+}
+
 /** What a row is about, in a few words. */
 export const nameOf = (row) => [row.action_type, row.action_value?.object].filter((word) => typeof word === "string").join(" ");
 

@@ -64,6 +64,24 @@ pub struct Finding {
     /// What would be right, where `what` does not say it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub right: Option<String>,
+    /// The change of the text that mends it, where there is one that is surely right.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fix: Option<Fix>,
+}
+
+/// What stands between two places of the file gives way to another text.
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+pub struct Fix {
+    /// Line on which the old text begins, from 1.
+    pub line: u32,
+    /// Its first character on that line, from 1.
+    pub column: u32,
+    /// Line on which it ends, from 1.
+    pub end_line: u32,
+    /// The character of that line after its last one, from 1.
+    pub end_column: u32,
+    /// The text in its place; empty where the old one is only taken out.
+    pub text: String,
 }
 
 impl fmt::Display for Severity {

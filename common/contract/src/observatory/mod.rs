@@ -26,7 +26,7 @@ pub use alert::{Alert, AlertEvent, Alerts, Notification, Priority, merge};
 pub use alerts_page::markdown;
 pub use catalogue::AlertKind;
 pub use facts::{FrameFacts, Trigger, TriggerKind};
-pub use finding::{Check, Finding, ScheduleDraft, ScheduleFindings, Severity};
+pub use finding::{Check, Finding, Fix, ScheduleDraft, ScheduleFindings, Severity};
 pub use focus::{
     FocusCurve, FocusFound, FocusLearned, FocusOutcome, FocusPass, FocusPoint, FocusRun, FocusState, FocusValue,
     FocuserFocus,

@@ -13,7 +13,7 @@ use units::Utc;
 
 use self::words::{expected, shown};
 pub use self::words::{kind, range};
-use crate::wrong::Wrong;
+use crate::wrong::{Mend, Wrong};
 
 /// The schema of an action's parameters; one that it does not name is refused.
 pub fn of<A: JsonSchema>(title: &str) -> Value {
@@ -85,7 +85,7 @@ pub fn check(schema: &Value, given: &Value) -> Result<(), Wrong> {
     known(schema, given)?;
     for (name, about) in properties(schema) {
         match given.get(name) {
-            Some(value) => allowed(about, value).map_err(|what| Wrong::of(name, what))?,
+            Some(value) => allowed(name, about, value)?,
             None if is_required(schema, name) => {
                 return Err(Wrong::of(name, format!("is missing; expected {}", expected(about))));
             }
@@ -99,23 +99,40 @@ fn known(schema: &Value, given: &Map<String, Value>) -> Result<(), Wrong> {
     let names = properties(schema).map(|(name, _)| name);
     let Some(stranger) = given.keys().find(|key| names.clone().all(|name| name != *key)) else { return Ok(()) };
     let hint = match names.clone().next() {
-        Some(_) => meant(stranger, names),
+        Some(_) => meant(stranger, names.clone()),
         None => "the action takes none".to_owned(),
     };
-    Err(Wrong::of(stranger, format!("unknown parameter; {hint}")))
+    Err(Wrong::of(stranger, format!("unknown parameter; {hint}")).mend(Some(Mend::name(stranger, names))))
 }
 
-fn allowed(schema: &Value, value: &Value) -> Result<(), String> {
+fn allowed(name: &str, schema: &Value, value: &Value) -> Result<(), Wrong> {
     if fits(schema, value) {
         return Ok(());
     }
     match (value, choices(schema)) {
-        (Value::String(word), Some(choices)) => Err(format!("unknown word {word:?}; {}", meant(word, choices))),
-        (Value::Object(_), _) if schema["properties"].is_object() => {
-            check(schema, value).map_err(|wrong| wrong.to_string())
+        (Value::String(word), Some(choices)) => {
+            let what = format!("unknown word {word:?}; {}", meant(word, choices.clone()));
+            Err(Wrong::of(name, what).mend(Mend::word(word, choices)))
         }
-        _ => Err(format!("expected {}, found {}", expected(schema), shown(value))),
+        (Value::Object(_), _) if schema["properties"].is_object() => {
+            check(schema, value).map_err(|wrong| Wrong::of(name, wrong.to_string()))
+        }
+        _ => {
+            let what = format!("expected {}, found {}", expected(schema), shown(value));
+            Err(Wrong::of(name, what).mend(limit(schema, value).map(|end| Mend::Value(end.to_string()))))
+        }
     }
+}
+
+/// The end of the range beyond which a number lies; not of an angle, which would be another place in the sky.
+fn limit<'a>(schema: &'a Value, value: &Value) -> Option<&'a Value> {
+    let number = value.as_f64().filter(|_| schema["unit"] != "deg")?;
+    let (low, high) = (&schema["minimum"], &schema["maximum"]);
+    let end = match low.as_f64().is_some_and(|low| number < low) {
+        true => low,
+        false => high.as_f64().filter(|high| number > *high).map(|_| high)?,
+    };
+    fits(schema, end).then_some(end)
 }
 
 fn fits(schema: &Value, value: &Value) -> bool {

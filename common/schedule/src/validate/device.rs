@@ -9,6 +9,8 @@ use contract::observatory::{Check, Finding};
 use super::KnownFacts;
 use crate::fault::{Right as _, error};
 use crate::row::Row;
+use crate::written::Of;
+use crate::wrong::Mend;
 
 /// Filters that no wheel of the camera has; mounts that are not there.
 pub(super) fn check(rows: &[Row], known: &KnownFacts) -> Vec<Finding> {
@@ -29,7 +31,9 @@ fn filters(row: &Row, known: &KnownFacts) -> Vec<Finding> {
     let each: BTreeSet<&str> = wanted.into_iter().filter(|wanted| !filters.iter().any(|has| has == wanted)).collect();
     let describe = |wanted: &str| {
         let found = error(Check::Filter, at, Some("filter"), format!("{wheel} has no filter {wanted:?}"));
-        found.right(meant(wanted, filters.iter().map(String::as_str)))
+        let known = filters.iter().map(String::as_str);
+        let fix = row.written.mend(Of::Parameters, "filter", Mend::word(wanted, known.clone()));
+        found.right(meant(wanted, known)).fix(fix)
     };
     each.into_iter().map(describe).collect()
 }

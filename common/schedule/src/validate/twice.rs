@@ -33,7 +33,8 @@ fn doubled(rows: &[Row]) -> Vec<Finding> {
         match first.get(name) {
             Some(line) => {
                 let what = format!("the same row stands on line {line}: it is done twice");
-                findings.push(warning(Check::Twice, row.written.begin, None, what).right("leave one, or change n"));
+                let found = warning(Check::Twice, row.written.begin, None, what).right("leave one, or change n");
+                findings.push(found.fix(Some(row.written.without())));
             }
             None => drop(first.insert(name, row.line)),
         }

@@ -4,7 +4,7 @@ import { activity } from "../activity.js";
 import { CloseButton } from "../close.js";
 import { clock, duration, nightOf, number } from "../format.js";
 import { arrived, Picture } from "../image.js";
-import { Age, Bullet, Card, Empty, Guard, Icon, Missing, Mode, Priority, PRIORITIES, Segment, Simulated, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, realTime, summaryAge, urgency } from "../parts.js";
+import { Age, Bullet, Card, Empty, Expected, Guard, Icon, Missing, Mode, Priority, PRIORITIES, Segment, Simulated, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, realTime, summaryAge, urgency } from "../parts.js";
 import { bySite, doing, worst } from "../shell.js";
 import { ageOf, link, moment, net, quality, skyNow, skySpeed, tick, told, useTopic } from "../store.js";
 import { devicesOf, known, useMissing } from "../devices.js";
@@ -28,13 +28,14 @@ function Lede({ telescopes }) {
     ${[...counts].map(([does, n]) => `${n} ${n > 1 ? does.replace(/^waits/, "wait") : does}`).join(", ")}${counts.size ? "." : ""}</p>`;
 }
 
-/** One telescope; `brief` where its view has no room for an image unless it needs somebody, `called` where the bar at the top has its Close. */
+/** One telescope; `brief` where its view has one line for it unless it needs somebody, `called` where the bar at the top has its Close. */
 function Tile({ summary, brief, called }) {
   const now = standing(summary);
   const missing = useMissing(summary, now);
   const [what, sub] = activity(summary, now);
   const level = urgency(summary, now);
-  const image = !(brief && level > 3) && !(/** @type {any} */ (navigator).connection?.saveData) && arrived(summary);
+  const isLine = brief && level > 3;
+  const image = !isLine && !(/** @type {any} */ (navigator).connection?.saveData) && arrived(summary);
   const top = summary.alerts?.find((one) => !isCalm(one));
   const figures = summary.figures ?? {};
   const worth = now.fresh ? "fresh" : now.worth;
@@ -43,7 +44,7 @@ function Tile({ summary, brief, called }) {
     <a class="cover" href=${`/t/${summary.id}`} aria-label=${`${summary.telescope_id}: ${what}`}></a>
     <div class="tile-h"><${Icon} name=${postureIcon(now.posture)} /><b>${summary.telescope_id}</b><span class="site cut">${summary.site_id}</span><span class="end"><${Simulated} summary=${summary} />${level <= 3 && html`<${Priority} word=${PRIORITIES[level - 1]} />`}</span></div>
     <div class="row between wrap"><${Words} now=${now} /><${Mode} now=${now} /></div>
-    <div class=${`do ${image ? "" : "plain"}`}><div class="what">${what}</div><div class="sub">${top && level <= 3 && !missing.some((device) => device.alert === top.id) ? top.cause : sub} <${Missing} of=${missing} /></div>${image && html`<span class="thumb"><${Picture} image=${image} /></span>`}</div>
+    <div class=${`do ${image ? "" : "plain"}`}><div class="what">${what}</div><div class="sub">${top && level <= 3 && !missing.some((device) => device.alert === top.id) ? top.cause : sub} <${Missing} of=${missing} />${now.fresh && !isLine && html`<${Expected} by=${summary.activity?.[0]?.expected_by_utc} />`}</div>${image && html`<span class="thumb"><${Picture} image=${image} /></span>`}</div>
     <div class="stats"><${Stat} name="Guide" value=${figures.guide_rms_arcsec != null ? number(figures.guide_rms_arcsec, 2) : null} unit="″" worth=${worth} /><${Stat} name="FWHM" value=${figures.fwhm_arcsec != null ? number(figures.fwhm_arcsec, 2) : null} unit="″" worth=${worth} />
       <${Stat} name="Rows" value=${summary.schedule ? `${summary.schedule.finished}/${summary.schedule.rows}` : null} worth=${worth} /><${Stat} name="Frames" value=${summary.frames} worth=${worth} /></div>
     ${summary.unreadable?.length > 0 && html`<p class="ink-p2" data-unreadable=${summary.unreadable.length}>◆ ${summary.unreadable.length} ${summary.unreadable.length > 1 ? "payloads" : "payload"} cannot be read: ${summary.unreadable[0].key}</p>`}

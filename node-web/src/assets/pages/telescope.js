@@ -10,8 +10,8 @@ import { useGet, useReport } from "../api.js";
 import { SkyMap } from "../sky.js";
 import { siteOf } from "../site.js";
 import { useForecast } from "../forecast.js";
-import { Age, Card, Empty, Guard, Missing, Priority, Stat, Table, Time, fate, isCalm, priorityNumber, realTime, standing } from "../parts.js";
-import { ageOf, quality, skyAgeOf, skyNow, skySpeed, tick, useTopic } from "../store.js";
+import { Age, Card, Empty, Expected, Guard, Missing, Priority, Stat, Table, Time, fate, isCalm, priorityNumber, realTime, standing } from "../parts.js";
+import { ageOf, quality, skyAgeOf, skyNow, tick, useTopic } from "../store.js";
 import { useCorrections } from "../corrections.js";
 import { activity } from "../activity.js";
 import { Input, inputValue, inputWords } from "../inputs.js";
@@ -49,14 +49,6 @@ function Holds({ list, sky, open }) {
   return html`<div data-testid="reasons"><div class="tagline">${open ? "Ought to be closed because of" : "Keeps it closed"}</div><ul class="holds">${sorted.map((one) => html`<li key=${one.input ?? one.what}><b title=${one.input ?? null}>${one.what}</b><span>${one.why}</span><span class="m end">${one.at ? html`can clear <b>${clock(one.at)}</b>, <span class="nw">in ${duration((one.at - sky) / 1000)}</span>` : one.until ? `until ${one.until}` : "when it can clear is not known"}</span></li>`)}</ul></div>`;
 }
 
-/** By when the step should have ended, counted down; beyond it, by how much it is late. Under a sky that runs faster than the machine
-    the time is mostly the machine's, and means nothing to a person. */
-function Expected({ by, sky }) {
-  const left = by && sky ? (Date.parse(by) - sky) / 1000 : null;
-  if (left === null || skySpeed() > 1) return null;
-  return html`<span class=${left < 0 ? "ink-p2" : "m"} data-testid="expected">${left < 0 ? html`should have ended ${duration(-left)} ago` : html`should end by ${clock(by)}, <span class="nw">in ${duration(left)}</span>`}</span>`;
-}
-
 /** One alert: what to do while it stands, and what became of it once nobody is called for it. */
 function AlertNote({ alert }) {
   const calm = isCalm(alert);
@@ -81,7 +73,7 @@ function Doing({ id, summary, states }) {
   const after = rows.find((one) => one.status === "interrupted" && Date.parse(one.end_utc) > sky) ?? next;
   const then = after ? ` Then ${[after.action, after.object].filter(Boolean).join(" ")}${after.status === "interrupted" ? " goes on" : ` at ${hourMinute(after.start_utc)}`}.` : "";
   const waits = !now.fresh ? "Not known." : list.length ? `${list.map((one) => one.what).join(", ").replace(/^./, (first) => first.toUpperCase())}.${then}` : row ? `Nothing.${next ? ` Next: ${[next.action, next.object].filter(Boolean).join(" ")} at ${hourMinute(next.start_utc)}.` : ""}` : next ? `${next.action} at ${hourMinute(next.start_utc)}.` : "Nothing.";
-  return html`<section class="card stack" aria-label="Now" data-testid="now"><div class="row start wrap"><div class="grow"><div class="tagline">Does</div><div class="row base wrap"><span class="big">${what}</span><span class="m">${sub}</span><${Missing} of=${missing} />${now.fresh && html`<${Expected} by=${summary.activity?.[0]?.expected_by_utc} sky=${sky} />`}</div></div>
+  return html`<section class="card stack" aria-label="Now" data-testid="now"><div class="row start wrap"><div class="grow"><div class="tagline">Does</div><div class="row base wrap"><span class="big">${what}</span><span class="m">${sub}</span><${Missing} of=${missing} />${now.fresh && html`<${Expected} by=${summary.activity?.[0]?.expected_by_utc} />`}</div></div>
       ${light && html`<div class="light"><div class="row between"><span class="m">this frame</span><span><b>${number(light.passed, 0)}</b> <span class="m">of ${plain(light.total)} s</span></span></div><div class="bar lg lit"><i style=${{ width: `${(light.part * 100).toFixed(1)}%` }}></i></div></div>`}</div>
     <div class="grid g3"><div><div class="tagline">Why</div><div>${why}</div></div><div><div class="tagline">Until</div><div>${until}</div></div><div><div class="tagline">Waits for</div><div>${waits}</div></div></div>
     ${list.length > 0 && html`<${Holds} list=${list} sky=${sky} open=${now.posture !== "closed"} />`}
