@@ -86,7 +86,7 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
                 }
             }
             received = first(&states) => {
-                if let Key::Node(address, role @ (Role::Device | Role::Observatory), id, NodeTopic::State) = received.key
+                if let Key::Node(address, role @ (Role::Device | Role::Observatory | Role::Web), id, NodeTopic::State) = received.key
                     && keeper.has_room(&(address.clone(), role, id.clone()))
                 {
                     keeper.look((address, role, id), received.sample.boot_id).await?;
@@ -205,7 +205,8 @@ impl Keeper {
         follow.lacks = lacks;
         follow.failures = if lacks { follow.failures.saturating_add(1) } else { 0 };
         let (failures, last) = (follow.failures, follow.last.clone());
-        if failures >= FETCHES {
+        // A web node of an earlier version keeps no audit.
+        if failures >= FETCHES && (who.1 != Role::Web || last.is_some()) {
             let from = last.map_or("all of it".to_owned(), |last| format!("what follows number {}", last.number));
             let cause = format!("{} does not send its audit log; the archive lacks {from}", signature(who));
             self.node.alerts.raise(AlertKind::AuditLacking, signature(who), &cause);

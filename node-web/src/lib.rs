@@ -22,6 +22,8 @@
 //!   `a_million_keys_of_a_stranger_leave_room_for_the_telescope_of_the_file`.
 //! - Without a proof of who asks, nothing is answered that is not for everybody (decision 0110):
 //!   `with_users_everybody_is_asked_and_each_proof_opens_what_it_should`.
+//! - Whatever is changed about users over HTTP leaves a record, without a secret:
+//!   `every_change_of_users_leaves_a_record_that_holds_no_secret`.
 //! - Whatever is changed over HTTP, somebody remains who can change users: `somebody_who_can_change_users_always_remains`,
 //!   `the_first_user_is_an_engineer_and_is_made_on_the_servers_host`.
 //! - A draft is never overwritten unseen, and an activation replaces the schedule that its caller saw:
@@ -62,6 +64,7 @@ mod shrink;
 mod socket;
 mod summary;
 mod tls;
+mod user_audit;
 
 use std::net::SocketAddr;
 use std::pin::Pin;
@@ -69,6 +72,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
+use audit::Audit;
 use bus::Bus;
 use contract::Scalar;
 use contract::observatory::AlertKind;
@@ -113,6 +117,7 @@ pub async fn run(node: node::Node) -> anyhow::Result<()> {
     tasks.spawn(previews.clone().make());
     tasks.spawn(host.clone().measure(node.config.folders.data.clone()));
     tasks.spawn(forget(network.clone()));
+    let audit = Audit::start(&node).await?;
     let push = push::open(&node)?;
     tasks.spawn(notify::keep_substituting(node.clone(), Some(push.clone())));
     tasks.spawn(push::follow_users(push.clone(), authentication.clone(), node.config.address()));
@@ -135,6 +140,7 @@ pub async fn run(node: node::Node) -> anyhow::Result<()> {
         plans: Default::default(),
         tested: Default::default(),
         push,
+        audit: audit.clone(),
         sockets: Places::new(socket::ROOM),
         config: node.config.clone(),
     };
@@ -146,10 +152,12 @@ pub async fn run(node: node::Node) -> anyhow::Result<()> {
     tracing::info!("page: {url}");
 
     let stop = node.stop.clone();
-    tokio::select! {
+    let ended = tokio::select! {
         () = local_http::serve_tls(listener, tls, app, LIMITS, async move { stop.wait().await }) => Ok(()),
-        Some(ended) = tasks.join_next() => ended.context("a task of the web node failed")?,
-    }
+        Some(ended) = tasks.join_next() => ended.context("a task of the web node failed").flatten(),
+    };
+    audit.end().await;
+    ended
 }
 
 /// What the page is served with.

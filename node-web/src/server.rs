@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
+use audit::Audit;
 use axum::body::Bytes;
 use bus::{Bus, MachineTime};
 use contract::Address;
@@ -50,6 +51,8 @@ pub struct Server {
     pub tested: Mutex<Option<MachineTime>>,
     /// Browsers that get alerts.
     pub push: Arc<Subscriptions>,
+    /// Who changed which user.
+    pub audit: Audit,
     /// Sockets open now.
     pub sockets: Arc<Places>,
     /// The file of this node: the place of its site, and the limits of its telescope.

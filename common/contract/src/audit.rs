@@ -46,7 +46,7 @@ pub struct AuditRecord {
     /// The command or order; empty where there was none, or where it could not be read.
     #[serde(default, skip_serializing_if = "CommandId::is_empty")]
     pub id: CommandId,
-    /// The device, such as `dome/roof`; empty for an order.
+    /// The device, such as `dome/roof`, or the user, such as `user/ana`; empty for an order.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub device: String,
     /// What was asked, such as `open_shutter`.

@@ -168,11 +168,11 @@ bus! {
         }
         /// Each order and movement: by whom, when, with which token, and the outcome; each record holds the hash of the last.
         Audit "audit" (publishes PublishedRecord<audit::AuditRecord>) {
-            Rate::EventOnDisk, Carried::Event(1000), "device and observatory nodes" => "archive, anybody"
+            Rate::EventOnDisk, Carried::Event(1000), "device, observatory and web nodes" => "archive, anybody"
         }
         /// The records of the node's own audit file, in portions.
         AuditSince "audit-since" (asks audit::AuditQuestion => audit::AuditAnswer<audit::AuditRecord>) {
-            Rate::WhenAsked, Carried::Query, "archive, command line, anybody" => "device and observatory nodes"
+            Rate::WhenAsked, Carried::Query, "archive, command line, anybody" => "device, observatory and web nodes"
         }
         /// The node's session lives; a hint only, nobody's safety rests on it.
         Alive "alive" (no payload) {

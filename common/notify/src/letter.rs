@@ -50,13 +50,17 @@ pub struct Letter {
 impl Letter {
     /// A message that only tests whether it arrives, as loud as an alert that somebody must see tonight.
     pub fn test(by: &str, now: Utc) -> Self {
-        let cause = format!("{by} tests whether messages arrive here.");
+        Self::trial(&format!("{by} tests whether messages arrive here."), now)
+    }
+
+    /// The same with other words.
+    pub fn trial(cause: &str, now: Utc) -> Self {
         let alert = Alert {
             id: TEST.to_owned(),
             priority: Priority::High,
             consequence: "Nothing is wrong.".to_owned(),
             action: "Nothing: it has arrived.".to_owned(),
-            ..AlertKind::AlertNotSent.alert(TEST, now, &cause)
+            ..AlertKind::AlertNotSent.alert(TEST, now, cause)
         };
         Self { news: vec![News { event: AlertEvent::Raised, alert }] }
     }

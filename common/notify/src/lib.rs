@@ -24,7 +24,7 @@ mod sending;
 mod silent_nodes;
 mod stand_in;
 
-pub use post::{TestSent, send_test};
+pub use post::{TestSent, send_first, send_test};
 pub use sending::{keep_pinging, keep_sending};
 pub use silent_nodes::keep_noticing_silence;
 pub use stand_in::keep_substituting;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use anyhow::anyhow;
 use bus::MachineTime;
 use config::{Alerting, Format, Ping, Smtp, Webhook};
 use contract::observatory::{AlertKind, Alerts, Priority};
@@ -19,6 +20,8 @@ use crate::mailbox::{Mailbox, ReceiverSettings};
 use crate::push::{Subscription, Subscriptions};
 use crate::secret::secret;
 
+/// Somebody waits for the first message of a browser, machine time.
+const FIRST: Duration = Duration::from_secs(10);
 /// The name of the ping in the alert about it.
 pub const PING: &str = "ping";
 /// One failure is usual on the internet; so many in a row need a person.
@@ -103,6 +106,23 @@ pub async fn send_test(
         TestSent { way: receiver.way.word(), receiver: receiver.name, error }
     });
     join_all(sent).await
+}
+
+/// Sends a browser that is about to subscribe a message that says so.
+///
+/// # Errors
+/// Why its push service has not taken it; [`Refused`](crate::push::Refused) where it never will.
+pub async fn send_first(
+    config: &config::Observatory,
+    subscriptions: &Arc<Subscriptions>,
+    to: &Subscription,
+    now: Utc,
+) -> anyhow::Result<()> {
+    let letter = Letter::trial(&format!("Alerts of {} reach this device.", config.address()), now);
+    let way = Way::Push { subscriptions: subscriptions.clone(), to: to.clone() };
+    let mut http = Http::default();
+    let sent = tokio::time::timeout(FIRST, deliver(config, &mut http, &way, &letter)).await;
+    sent.map_err(|_| anyhow!("it did not answer within {} s", FIRST.as_secs()))?
 }
 
 /// All receivers that are configured.

@@ -13,6 +13,8 @@
 //! - Neither a file that is damaged nor one that is gone lets anybody in who was not let in before (decision 0110):
 //!   `a_damaged_file_leaves_the_users_before_it_and_a_missing_one_nobody`,
 //!   `a_file_that_was_damaged_from_the_beginning_lets_nobody_in`.
+//! - The last engineer of all telescopes stays one, by whatever interface:
+//!   `the_last_engineer_of_all_telescopes_stays_one_and_a_file_without_one_is_changed_as_before`.
 //! - No secret is shown by accident: `a_secret_is_never_shown_by_itself_and_no_two_are_alike`,
 //!   `what_is_written_is_read_again_and_holds_no_secret`.
 
@@ -30,4 +32,4 @@ pub use grant::{BadGrant, Grant};
 pub use password::{PasswordFault, PasswordHash};
 pub use principal::{Principal, Way};
 pub use secret::{NoRandomness, Secret, SecretHash};
-pub use users::{NameFault, Token, TokenFault, User, Users, UsersFault};
+pub use users::{LastEngineer, NameFault, Token, TokenFault, User, Users, UsersFault};

@@ -82,6 +82,13 @@ pub enum NameFault {
     },
 }
 
+/// A change would leave nobody who may change users.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "nobody else is an engineer of all telescopes, and without one nobody changes users on the page: make another engineer first"
+)]
+pub struct LastEngineer;
+
 /// Why a token gives nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TokenFault {
@@ -216,6 +223,22 @@ impl Users {
     /// Is there somebody who may change users?
     pub fn has_engineer(&self) -> bool {
         self.users.values().any(|user| user.grants.contains(&Grant::everywhere(Right::Engineer)))
+    }
+
+    /// Changes them so that somebody remains who may change users. A file that never had an engineer is served as it is.
+    ///
+    /// # Errors
+    /// What `change` refuses, and [`LastEngineer`]: then these users may be changed all the same, and must not be stored.
+    pub fn keeping_engineer<T, E: From<LastEngineer>>(
+        &mut self,
+        change: impl FnOnce(&mut Self) -> Result<T, E>,
+    ) -> Result<T, E> {
+        let had_one = self.has_engineer();
+        let done = change(self)?;
+        if had_one && !self.has_engineer() {
+            return Err(LastEngineer.into());
+        }
+        Ok(done)
     }
 
     /// The user of this name.
@@ -390,5 +413,31 @@ pub(crate) mod tests {
             users.users.get_mut(&name("ana")).unwrap().grants = vec![right.parse().unwrap()];
             assert_eq!(users.has_engineer(), has, "{right}");
         }
+    }
+
+    #[test]
+    fn the_last_engineer_of_all_telescopes_stays_one_and_a_file_without_one_is_changed_as_before() {
+        let (mut users, _) = ana();
+        let give = |name: &str, right: &str| {
+            let (name, grants) = (self::name(name), vec![right.parse().unwrap()]);
+            move |users: &mut Users| {
+                users.users.get_mut(&name).unwrap().grants = grants;
+                Ok::<_, LastEngineer>(())
+            }
+        };
+        let gone = |name: &str| {
+            let name = self::name(name);
+            move |users: &mut Users| Ok::<_, LastEngineer>(users.remove(&name))
+        };
+        users.users.insert(name("bob"), users.users[&name("ana")].clone());
+        assert_eq!(users.clone().keeping_engineer(gone("ana")), Ok(true), "nobody was one");
+        users.keeping_engineer(give("ana", "engineer")).unwrap();
+        for right in ["viewer", "engineer:paranal/*"] {
+            assert!(users.clone().keeping_engineer(give("ana", right)).is_err(), "{right}");
+        }
+        assert_eq!(users.clone().keeping_engineer(gone("ana")), Err(LastEngineer));
+        assert_eq!(users.clone().keeping_engineer(gone("bob")), Ok(true));
+        users.keeping_engineer(give("bob", "engineer")).unwrap();
+        assert_eq!(users.keeping_engineer(gone("ana")), Ok(true), "another one is there");
     }
 }

@@ -22,7 +22,7 @@ async fn node(role: Role, folder: &Path, meet: Option<&Bus>) -> Node {
     Node::new(role, "main".parse().unwrap(), config, Default::default(), bus)
 }
 
-/// A device node that only publishes that it is alive, and writes records into its audit.
+/// A node that only publishes that it is alive, and writes records into its audit.
 struct Noter {
     running: RunningNode,
     audit: Audit,
@@ -30,7 +30,11 @@ struct Noter {
 
 impl Noter {
     async fn start(folder: &Path, meet: Option<&Bus>) -> Self {
-        let node = node(Role::Device, folder, meet).await;
+        Self::of(Role::Device, folder, meet).await
+    }
+
+    async fn of(role: Role, folder: &Path, meet: Option<&Bus>) -> Self {
+        let node = node(role, folder, meet).await;
         let audit = Audit::start(&node).await.unwrap();
         Self { running: RunningNode::live(node, |_| std::future::pending()), audit }
     }
@@ -104,6 +108,23 @@ async fn until_the_same(node: &Path, archive: &Path, count: usize) {
         written.len() >= count && written == stored(archive)
     })
     .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_web_node_is_asked_for_its_records_too() {
+    let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let noter = Noter::of(Role::Web, here.path(), None).await;
+    noter.note(3);
+    let archive = Archive::start(there.path(), noter.bus()).await;
+    let written = || std::fs::read_to_string(here.path().join("data/audit-web-alpha-main.jsonl")).unwrap_or_default();
+    until("five lines, all of them stored", || {
+        let written: Vec<_> = written().lines().map(str::to_owned).collect();
+        written.len() == 5 && written == stored(there.path())
+    })
+    .await;
+    assert!(archive.alerts().is_empty(), "{:?}", archive.alerts());
+    archive.end().await;
+    noter.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

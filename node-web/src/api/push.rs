@@ -17,9 +17,12 @@ pub(super) fn endpoints() -> Vec<Endpoint> {
             )
             .gives::<push::PushState>("The browsers."),
         Endpoint::post("/api/v1/push/subscriptions", "subscribe", VIEW, push::subscribe)
-            .summary("Sends alerts to a browser from now on, each encrypted for it. The same browser again changes what it gets.")
+            .summary(
+                "Sends alerts to a browser from now on, each encrypted for it; a new one gets a first message at once, within 10 s. The \
+                 same browser again changes what it gets.",
+            )
             .takes::<push::NewSubscription>()
-            .answers::<push::PushDevice>(StatusCode::CREATED, "It gets alerts."),
+            .answers::<push::SubscribedDevice>(StatusCode::CREATED, "It gets alerts."),
         Endpoint::delete("/api/v1/push/subscriptions/{id}", "unsubscribe", VIEW, push::unsubscribe)
             .summary("Sends a browser no more alerts.")
             .gives_nothing(StatusCode::NO_CONTENT, "It gets none."),

@@ -60,7 +60,9 @@ function Switch({ telescope, keyOfServer, devices, again }) {
   const on = (priority) => act(async () => {
     const subscription = known ? await (await worker()).pushManager.getSubscription() : await subscribe(keyOfServer);
     const body = JSON.stringify({ subscription, key: keyOfServer, device: known?.device ?? deviceName(), min_priority: priority, after_min: known?.after_min ?? 0 });
-    own.value = (await ask("/api/v1/push/subscriptions", { method: "POST", headers: { "Content-Type": "application/json" }, body })).id;
+    const made = await ask("/api/v1/push/subscriptions", { method: "POST", headers: { "Content-Type": "application/json" }, body });
+    own.value = made.id;
+    if (made.error) problem.value = `The alerts are switched on, but the first message has not reached the push service of this browser: ${made.error}. Send a test message later.`;
   });
   const remove = (id) => act(async () => {
     await ask(`/api/v1/push/subscriptions/${id}`, { method: "DELETE" });
@@ -75,6 +77,6 @@ function Switch({ telescope, keyOfServer, devices, again }) {
 export function DeviceAlerts() {
   const found = useGet("/api/v1/push", 30);
   const why = obstacle();
-  return html`<${Card} name="Alerts on this device" testid="push"><p class="m">They come also while this page is closed, encrypted for this device. A test message shows whether they come.</p>${why ? html`<p class="note p3" role="status"><span class="grow">${why}</span></p>`
+  return html`<${Card} name="Alerts on this device" testid="push"><p class="m">They come also while this page is closed, encrypted for this device. The first one comes when you switch them on; a test message shows whether they still come.</p>${why ? html`<p class="note p3" role="status"><span class="grow">${why}</span></p>`
     : html`<${Loaded} of=${found} what="The list of devices">${({ telescope, key, devices = [] }) => html`<${Switch} telescope=${telescope} keyOfServer=${key} devices=${devices} again=${found.again} />`}<//>`}<//>`;
 }

@@ -1,9 +1,9 @@
 //! Changes the users file for a request, and lets the change count at once.
 
-use users::{FileFault, NoRandomness, Users};
+use users::{FileFault, LastEngineer, NoRandomness, Users};
 
 use super::Authentication;
-use crate::problem::Problem;
+use crate::problem::{Code, Problem};
 
 /// Why a change of the users file is refused.
 pub enum Refusal {
@@ -18,6 +18,12 @@ pub enum Refusal {
 impl From<FileFault> for Refusal {
     fn from(fault: FileFault) -> Self {
         Self::File(fault)
+    }
+}
+
+impl From<LastEngineer> for Refusal {
+    fn from(why: LastEngineer) -> Self {
+        Self::Problem(Problem::new(Code::Conflict, "The last engineer", format!("{why}.")))
     }
 }
 

@@ -6,13 +6,13 @@ use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use axum::{Extension, Json};
 use contract::observatory::Priority;
-use notify::push::{NotTaken, Subscription};
+use notify::push::{NotTaken, Refused, Subscription};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 use users::{Principal, Right, Way};
 
-use crate::authentication::Authentication;
+use crate::authentication::{Authentication, Credential};
 use crate::json_body::JsonBody;
 use crate::problem::{Code, Problem};
 use crate::server::Server;
@@ -53,6 +53,18 @@ impl PushDevice {
         let Subscription { min_priority, after_min, since_utc, .. } = *one;
         Self { id: one.id(), user, device, min_priority, after_min, since_utc }
     }
+}
+
+/// The answer to `POST /api/v1/push/subscriptions`.
+#[derive(Debug, JsonSchema, Serialize)]
+pub struct SubscribedDevice {
+    /// A new device gets a message at once, which says that it gets alerts: was one sent?
+    tried: bool,
+    /// Why its push service has not taken that message, though it may take later ones; it has taken it where this is absent.
+    error: Option<String>,
+    /// What it gets from now on.
+    #[serde(flatten)]
+    subscribed: PushDevice,
 }
 
 /// `POST /api/v1/push/subscriptions`.
@@ -104,14 +116,15 @@ pub async fn state(State(server): State<Arc<Server>>, Extension(principal): Exte
     Json(PushState { telescope: server.config.address().to_string(), key: server.push.public_key(), devices })
 }
 
-/// Takes a browser's subscription; another one of the same browser takes its place. A token makes none: one that leaked could otherwise
-/// outlive its end.
+/// Takes a browser's subscription, a new one after a first message; another one of the same browser takes its place. A token makes none:
+/// one that leaked could otherwise outlive its end.
 pub async fn subscribe(
     State(server): State<Arc<Server>>,
     Extension(authentication): Extension<Authentication>,
     Extension(principal): Extension<Principal>,
+    Extension(credential): Extension<Credential>,
     JsonBody(asked): JsonBody<NewSubscription>,
-) -> Result<(StatusCode, Json<PushDevice>), Problem> {
+) -> Result<(StatusCode, Json<SubscribedDevice>), Problem> {
     let (address, user) = (server.config.address(), principal.name.clone());
     if principal.way == Way::Token {
         return Err(Problem::forbidden(
@@ -138,14 +151,25 @@ pub async fn subscribe(
     let (BrowserSubscription { endpoint, keys }, since_utc) = (subscription, authentication.now().1);
     let BrowserKeys { p256dh, auth } = keys;
     let new = Subscription { user, device, endpoint, p256dh, auth, min_priority, after_min, since_utc };
-    let made = PushDevice::of(&new);
-    server.push.add(new).await.map_err(|why| match why {
-        NotTaken::Wrong(what) => Problem::invalid(format!("subscription: {what}.")),
-        NotTaken::TooMany(what) => Problem::new(Code::Conflict, "Too many devices", format!("{what}.")),
-        NotTaken::Disk(error) => failed(&error),
-    })?;
-    tracing::info!(by = %principal, device = made.device, id = made.id, "a browser gets alerts");
-    Ok((StatusCode::CREATED, Json(made)))
+    let subscribed = PushDevice::of(&new);
+    let tried = server.push.check(&new).map_err(not_taken)?;
+    let error = if tried { try_first(&server, &new).await? } else { None };
+    // That took a while: somebody who was removed meanwhile gets nothing.
+    authentication.principal(&credential)?;
+    server.push.add(new).await.map_err(not_taken)?;
+    tracing::info!(by = %principal, device = subscribed.device, id = subscribed.id, tried, error, "a browser gets alerts");
+    Ok((StatusCode::CREATED, Json(SubscribedDevice { tried, error, subscribed })))
+}
+
+/// Sends a new browser its first message: why its push service has not taken it, where it may take later ones.
+async fn try_first(server: &Server, to: &Subscription) -> Result<Option<String>, Problem> {
+    match notify::send_first(&server.config, &server.push, to, server.bus.clock().utc()).await {
+        Ok(()) => Ok(None),
+        Err(why) if why.is::<Refused>() => Err(Problem::invalid(format!(
+            "subscription: its push service takes no message for this browser: {why}. Nothing was stored: try again on that device."
+        ))),
+        Err(why) => Ok(Some(format!("{why:#}"))),
+    }
 }
 
 /// Sends a browser no more alerts.
@@ -162,6 +186,14 @@ pub async fn unsubscribe(
     }
     tracing::info!(by = %principal, id, "a browser gets no more alerts");
     Ok(StatusCode::NO_CONTENT)
+}
+
+fn not_taken(why: NotTaken) -> Problem {
+    match why {
+        NotTaken::Wrong(what) => Problem::invalid(format!("subscription: {what}.")),
+        NotTaken::TooMany(what) => Problem::new(Code::Conflict, "Too many devices", format!("{what}.")),
+        NotTaken::Disk(error) => failed(&error),
+    }
 }
 
 fn failed(error: &std::io::Error) -> Problem {

@@ -1,20 +1,23 @@
 //! Tokens for programs: one's own, and for an engineer all.
 
+use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::Path;
+use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use axum::{Extension, Json};
 use contract::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use units::Utc;
 use users::{Grant, Principal, Right, Token, Users, Way};
 
-use crate::authentication::{Authentication, Refusal};
+use crate::authentication::{Authentication, Client, Refusal};
 use crate::json_body::JsonBody;
 use crate::problem::{Code, Problem};
+use crate::server::Server;
 
 const LONGEST_DAYS: u32 = 3650;
 /// One user needs a few; the file is read by people.
@@ -78,8 +81,10 @@ pub async fn list(
 
 /// Makes a token. A token makes none: one that leaked could otherwise outlive its end.
 pub async fn add(
+    State(server): State<Arc<Server>>,
     Extension(authentication): Extension<Authentication>,
     Extension(principal): Extension<Principal>,
+    Extension(client): Extension<Client>,
     JsonBody(asked): JsonBody<NewToken>,
 ) -> Result<Response, Problem> {
     if principal.way == Way::Token {
@@ -91,7 +96,10 @@ pub async fn add(
     let now = authentication.now().1;
     let by = principal.clone();
     let made = edit(&authentication, move |users| make(users, &by, asked, now)).await?;
-    tracing::info!(by = %principal, name = %made.item.name, user = %made.item.user, "a token was made");
+    let TokenItem { name, user, rights, expires_utc, .. } = &made.item;
+    let what = json!({ "name": name, "rights": rights, "expires_utc": expires_utc });
+    server.note_user(&principal, &client, "make_token", user, &what);
+    tracing::info!(by = %principal, %name, %user, "a token was made");
     Ok((StatusCode::CREATED, Json(made)).into_response())
 }
 
@@ -131,20 +139,23 @@ fn make(users: &mut Users, by: &Principal, asked: NewToken, now: Utc) -> Result<
 
 /// Takes a token away; it is refused from now on.
 pub async fn remove(
+    State(server): State<Arc<Server>>,
     Extension(authentication): Extension<Authentication>,
     Extension(principal): Extension<Principal>,
+    Extension(client): Extension<Client>,
     Path(name): Path<String>,
 ) -> Result<StatusCode, Problem> {
     let by = principal.clone();
-    let removed = edit(&authentication, move |users| {
+    let (name, user) = edit(&authentication, move |users| {
         let found = users.tokens.iter().find(|(known, token)| known.as_str() == name && is_for(&by, token));
-        let name = found.map(|(name, _)| name.clone());
-        let name = name.ok_or_else(|| Problem::not_found("There is no such token of yours."))?;
+        let found = found.map(|(name, token)| (name.clone(), token.user.clone()));
+        let (name, user) = found.ok_or_else(|| Problem::not_found("There is no such token of yours."))?;
         users.tokens.remove(&name);
-        Ok(name)
+        Ok((name, user))
     })
     .await?;
-    tracing::info!(by = %principal, name = %removed, "a token was removed");
+    server.note_user(&principal, &client, "remove_token", &user, &json!({ "name": name }));
+    tracing::info!(by = %principal, %name, "a token was removed");
     Ok(StatusCode::NO_CONTENT)
 }
 

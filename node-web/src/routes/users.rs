@@ -74,6 +74,7 @@ pub async fn list(Extension(authentication): Extension<Authentication>) -> Json<
 
 /// Makes or changes a user. The rights count from the next request on; another password ends the user's sessions.
 pub async fn put(
+    State(server): State<Arc<Server>>,
     Extension(authentication): Extension<Authentication>,
     Extension(principal): Extension<Principal>,
     Extension(client): Extension<Client>,
@@ -91,14 +92,25 @@ pub async fn put(
     let only_new = headers.get(header::IF_NONE_MATCH).is_some_and(|tag| tag == "*");
     let (user, proxied, is_open) = (name.clone(), authentication.is_behind_proxy(), principal.way == Way::Open);
     let (rights, password) = (asked.rights.as_deref().map(shown), asked.password.is_some());
-    let made = authentication
+    let (made, before, after) = authentication
         .edit(move |users| {
             if is_open && !users.users.is_empty() {
                 return Err(Problem::unauthenticated("There are users now: log in.").into());
             }
-            keeping_an_engineer(users, |users| change(users, user, asked, only_new, proxied))
+            let (is_first, before) = (users.users.is_empty(), grants(users, &user));
+            let made = users.keeping_engineer(|users| change(users, user.clone(), asked, only_new, proxied))?;
+            if is_first && !users.has_engineer() {
+                let why = "the first user has to be an engineer of all telescopes, who makes the others: expected [\"engineer\"]";
+                return Err(wrong("rights", &why).into());
+            }
+            Ok((made, before, grants(users, &user)))
         })
         .await?;
+    let (verb, what) = match made {
+        true => ("make_user", json!({ "rights": after })),
+        false => ("change_user", json!({ "rights_before": before, "rights": after, "other_password": password })),
+    };
+    server.note_user(&principal, &client, verb, &name, &what);
     tracing::info!(by = %principal, address = %client.address, user = %name, made, rights, password, "a user was changed");
     let users = authentication.users().unwrap_or_default();
     let status = if made { StatusCode::CREATED } else { StatusCode::OK };
@@ -153,8 +165,12 @@ pub async fn remove(
         return Err(none());
     }
     let gone = name.clone();
-    let removed = move |users: &mut Users| if users.remove(&gone) { Ok(()) } else { Err(none().into()) };
-    authentication.edit(|users| keeping_an_engineer(users, removed)).await?;
+    let removed = move |users: &mut Users| -> Result<_, Refusal> {
+        let before = grants(users, &gone);
+        if users.remove(&gone) { Ok(before) } else { Err(none().into()) }
+    };
+    let before = authentication.edit(|users| users.keeping_engineer(removed)).await?;
+    server.note_user(&principal, &client, "remove_user", &name, &json!({ "rights_before": before }));
     // At once: in a moment another person may have the name.
     if let Err(error) = server.push.retain(|_, one| one.user != name.as_str()).await {
         // The user is removed; the phones follow with the next look at the users.
@@ -166,6 +182,7 @@ pub async fn remove(
 
 /// Gives the caller another password. All sessions of theirs end, this one too.
 pub async fn own_password(
+    State(server): State<Arc<Server>>,
     Extension(authentication): Extension<Authentication>,
     Extension(principal): Extension<Principal>,
     Extension(client): Extension<Client>,
@@ -194,29 +211,9 @@ pub async fn own_password(
             Ok(())
         })
         .await?;
+    server.note_user(&principal, &client, "change_own_password", &name, &json!({}));
     tracing::info!(user = %name, address = %client.address, "a user has changed their password");
     Ok(StatusCode::NO_CONTENT)
-}
-
-/// Changes users so that somebody remains who can change them from here. A file that never had an engineer is served as it is.
-fn keeping_an_engineer<T>(
-    users: &mut Users,
-    change: impl FnOnce(&mut Users) -> Result<T, Refusal>,
-) -> Result<T, Refusal> {
-    let (is_first, had_one) = (users.users.is_empty(), users.has_engineer());
-    let done = change(users)?;
-    if users.has_engineer() || !(is_first || had_one) {
-        return Ok(done);
-    }
-    Err(match is_first {
-        true => wrong("rights", &"the first user has to be an engineer of all telescopes, who makes the others: expected [\"engineer\"]"),
-        false => Problem::new(
-            Code::Conflict,
-            "The last engineer",
-            "Nobody else is an engineer of all telescopes, and without one nobody changes users from here: make another engineer first.",
-        ),
-    }
-    .into())
 }
 
 /// One that leaked could otherwise make itself a user and outlive its end.
@@ -237,11 +234,15 @@ fn item(authentication: &Authentication, users: &Users, name: &Name) -> UserItem
         .collect();
     UserItem {
         name: name.clone(),
-        rights: users.users.get(name).map(|user| user.grants.clone()).unwrap_or_default(),
+        rights: grants(users, name).unwrap_or_default(),
         sessions: idle.len(),
         idle_s: idle.iter().min().map(Duration::as_secs),
         tokens: users.tokens.values().filter(|token| token.user == *name).count(),
     }
+}
+
+fn grants(users: &Users, name: &Name) -> Option<Vec<Grant>> {
+    users.users.get(name).map(|user| user.grants.clone())
 }
 
 fn shown(rights: &[Grant]) -> String {

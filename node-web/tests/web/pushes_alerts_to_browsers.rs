@@ -18,7 +18,6 @@ use crate::stage::raw::{Answer, add_user, change, with_users};
 use crate::stage::{Stage, address};
 
 /// What came to a push service.
-#[derive(Clone)]
 struct Taken {
     path: String,
     headers: HeaderMap,
@@ -52,9 +51,13 @@ impl PushService {
         format!("http://{}{path}", self.at)
     }
 
-    /// The first message that came for a path.
-    async fn first(&self, path: &str) -> Taken {
-        let found = within(LIMIT, || self.taken.lock().unwrap().iter().find(|taken| taken.path == path).cloned());
+    /// The next message that came for a path.
+    async fn next(&self, path: &str) -> Taken {
+        let found = within(LIMIT, || {
+            let mut taken = self.taken.lock().unwrap();
+            let at = taken.iter().position(|taken| taken.path == path)?;
+            Some(taken.remove(at))
+        });
         found.await.unwrap_or_else(|| panic!("nothing came to {path}"))
     }
 }
@@ -89,12 +92,13 @@ async fn an_alert_and_a_test_message_reach_browsers_until_their_push_service_say
     let (phone, desk) = (Browser::new(), Browser::new());
     let made = subscribe(&stage, "", &service.endpoint("/phone"), &phone, json!({})).await;
     assert_eq!((made.status, &made.json()["min_priority"]), (201, &json!("high")), "{}", made.text);
+    service.next("/phone").await;
     let alert = |kind: AlertKind, priority_cause: &str| kind.alert("dome_1", stage.bus.clock().utc(), priority_cause);
     let held = alert(AlertKind::DomeHeld, "it is half open");
     let published =
         stage.publish(Key::Observatory(address("callisto"), Part::Alerts), list(std::slice::from_ref(&held))).await;
 
-    let message = service.first("/phone").await;
+    let message = service.next("/phone").await;
     let header = |name: &str| message.headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
     assert_eq!((header("content-encoding"), header("urgency"), header("ttl")), ("aes128gcm", "high", "86400"));
     let key = key_of(&stage, "").await;
@@ -122,11 +126,12 @@ async fn an_alert_and_a_test_message_reach_browsers_until_their_push_service_say
 
     let made = subscribe(&stage, "", &service.endpoint("/desk"), &desk, json!({ "min_priority": "critical" })).await;
     assert_eq!(made.status, 201, "{}", made.text);
+    service.next("/desk").await;
     let told = stage.ask("POST /api/v1/alerts/test", "", None).await.json();
     let receivers = told["receivers"].as_array().unwrap();
     assert_eq!(receivers.len(), 2, "{told}");
     assert!(receivers.iter().all(|one| one["way"] == "push" && one["error"].is_null()), "{told}");
-    let read: Value = serde_json::from_str(&desk.read(&service.first("/desk").await.body).unwrap()).unwrap();
+    let read: Value = serde_json::from_str(&desk.read(&service.next("/desk").await.body).unwrap()).unwrap();
     assert!(read["body"].as_str().is_some_and(|text| text.contains("local tests whether messages arrive")), "{read}");
 
     service.answers.store(410, Ordering::Relaxed);
@@ -142,6 +147,7 @@ async fn while_no_observatory_node_sends_a_browser_gets_the_alerts_of_the_other_
     let stage = Stage::start_with(&service.named(), folder.path()).await;
     let phone = Browser::new();
     assert_eq!(subscribe(&stage, "", &service.endpoint("/phone"), &phone, json!({})).await.status, 201);
+    service.next("/phone").await;
     let of = |role, id: &str, topic| Key::Node(address("callisto"), role, id.parse().unwrap(), topic);
     let stopped = NodeState {
         role: Role::Observatory,
@@ -156,24 +162,66 @@ async fn while_no_observatory_node_sends_a_browser_gets_the_alerts_of_the_other_
     let _stopped = stage.publish(of(Role::Observatory, "main", NodeTopic::State), stopped).await;
     let alert = AlertKind::DomeNotClosed.alert("dome_1", stage.bus.clock().utc(), "it is open");
     let _alerts = stage.publish(of(Role::Device, "enclosure", NodeTopic::Alerts), list(&[alert])).await;
-    let read = phone.read(&service.first("/phone").await.body).expect("it is for this browser");
+    let read = phone.read(&service.next("/phone").await.body).expect("it is for this browser");
     assert!(read.contains("critical raised: dome-not-closed/dome_1"), "{read}");
     stage.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_new_browser_gets_a_message_at_once_and_one_whose_push_service_refuses_is_not_stored() {
+    let (service, folder) = (PushService::start().await, tempfile::tempdir().unwrap());
+    let web = format!("push_services = [\"http://{}\", \"http://127.0.0.1:1\"]\n", service.at);
+    let stage = Stage::start_with(&web, folder.path()).await;
+    let phone = Browser::new();
+    for (status, why) in [(404, "has ended"), (410, "has ended"), (403, "clock of this host"), (400, "400 Bad Request")]
+    {
+        service.answers.store(status, Ordering::Relaxed);
+        let refused = subscribe(&stage, "", &service.endpoint("/refused"), &phone, json!({})).await;
+        assert!(refused.status == 422 && refused.text.contains(why), "{status}: {}", refused.text);
+        assert!(refused.text.contains("Nothing was stored"), "{}", refused.text);
+        assert_eq!(refused.header("content-type"), Some("application/problem+json"));
+        assert!(listed(&stage.ask("GET /api/v1/push", "", None).await.json()).is_empty(), "{status}");
+    }
+    let what = |answer: &Answer| {
+        let told = answer.json();
+        (answer.status, told["tried"].clone(), told["error"].as_str().unwrap_or_default().to_owned())
+    };
+    // What may be better in the night is kept, and told.
+    for (status, at, why) in [
+        (503, service.endpoint("/busy"), "it answered 503 Service Unavailable"),
+        (429, service.endpoint("/often"), "it answered 429 Too Many Requests"),
+        (201, "http://127.0.0.1:1/away".to_owned(), "it cannot be reached"),
+    ] {
+        service.answers.store(status, Ordering::Relaxed);
+        let (status, tried, error) = what(&subscribe(&stage, "", &at, &Browser::new(), json!({})).await);
+        assert!(status == 201 && tried == true && error.contains(why), "{at}: {status} {tried} {error}");
+    }
+    let made = subscribe(&stage, "", &service.endpoint("/phone"), &phone, json!({})).await;
+    assert_eq!(what(&made), (201, json!(true), String::new()), "{}", made.text);
+    let again = subscribe(&stage, "", &service.endpoint("/phone"), &phone, json!({ "min_priority": "critical" })).await;
+    assert_eq!(what(&again), (201, json!(false), String::new()), "{}", again.text);
+    assert_eq!(listed(&stage.ask("GET /api/v1/push", "", None).await.json()).len(), 4);
+    let read: Value = serde_json::from_str(&phone.read(&service.next("/phone").await.body).unwrap()).unwrap();
+    let text = read["body"].as_str().unwrap();
+    assert!(text.starts_with("Alerts of paranal/callisto reach this device."), "{text}");
+    assert!(service.taken.lock().unwrap().iter().all(|taken| taken.path != "/phone"), "it is sent once");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn each_person_has_their_own_devices_and_whoever_loses_the_right_gets_no_more_alerts() {
-    let folder = with_users();
+    let (service, folder) = (PushService::start().await, with_users());
     add_user(folder.path(), "vic", &["viewer:paranal/callisto"]);
     add_user(folder.path(), "ota", &["operator:teide/*"]);
-    let stage = Stage::start_with("", folder.path()).await;
+    let stage = Stage::start_with(&service.named(), folder.path()).await;
     let [ana, eve, vic, ota] = [
         stage.session("ana").await,
         stage.session("eve").await,
         stage.session("vic").await,
         stage.session("ota").await,
     ];
-    let at = "https://push.example.net/phone";
+    let at = service.endpoint("/phone");
+    let at = at.as_str();
     let phone = Browser::new();
     let made = subscribe(&stage, &vic, at, &phone, json!({})).await;
     assert_eq!(made.status, 201, "{}", made.text);

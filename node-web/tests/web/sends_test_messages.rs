@@ -1,6 +1,5 @@
 //! A test message to those who get alerts, over HTTP.
 
-use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use axum::Json;
@@ -22,7 +21,7 @@ async fn each_receiver_gets_it_or_its_reason_is_told_and_it_is_not_sent_twice_in
          format = \"ntfy\"\nurl = \"http://{at}/callisto-4f8a\"\n[[alerts.webhook]]\nname = \"gone\"\n\
          url = \"http://{at}/no-such-place\"\n"
     );
-    let stage = Stage::start_with(&receivers, Path::new(".")).await;
+    let stage = Stage::start_alone(&receivers).await;
     let answer = stage.ask("POST /api/v1/alerts/test", "", None).await;
     assert_eq!(answer.status, 200, "{}", answer.text);
     let told = answer.json();

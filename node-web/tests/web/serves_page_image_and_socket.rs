@@ -201,7 +201,7 @@ async fn pictures_of_exactly_the_configured_webcams_may_be_shown() {
     let webcams = "[[web.webcam]]\nname = \"All-sky\"\nurl = \"https://allsky.example.org:8443/latest.jpg?x=1\"\n\
                    [[web.webcam]]\nname = \"Dome\"\nurl = \"http://10.0.0.9/cam\"\ntelescope = \"callisto\"\nperiod_s = 5\n\
                    [[web.webcam]]\nname = \"Elsewhere\"\nurl = \"http://10.0.0.9/other\"\nsite = \"teide\"\n";
-    let stage = Stage::start_with(webcams, std::path::Path::new(".")).await;
+    let stage = Stage::start_alone(webcams).await;
     let night: NightState = serde_json::from_value(sample("observatory.night")).unwrap();
     let _night = stage.publish(Key::Observatory(address("callisto"), Part::Night), night).await;
     let page = stage.http.get(&stage.url).send().await.unwrap();

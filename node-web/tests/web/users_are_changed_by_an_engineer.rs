@@ -1,6 +1,8 @@
 //! Users over HTTP: an engineer of all telescopes makes, changes and removes them, everybody changes their own password, and somebody
 //! who can do so always remains.
 
+use audit::audit_file::examine;
+use contract::audit::{AuditOutcome, AuditRecord};
 use serde_json::{Value, json};
 
 use crate::stage::Stage;
@@ -136,6 +138,58 @@ async fn what_no_user_can_be_is_refused_with_what_was_expected_and_changes_nothi
     }
     assert_eq!(file(&folder), before);
     stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_change_of_users_leaves_a_record_that_holds_no_secret() {
+    let folder = with_users();
+    let stage = Stage::start_with("", folder.path()).await;
+    let (eve, ana) = (stage.session("eve").await, stage.session("ana").await);
+    let new = json!({"rights": ["viewer"], "password": PASSWORD});
+    assert_eq!(put(&stage, &eve, "bob", new.clone()).await.status, 201);
+    assert_eq!(put(&stage, &eve, "bob", json!({"rights": ["observer", "operator:paranal/io"]})).await.status, 200);
+    assert_eq!(put(&stage, &eve, "bob", json!({"password": OTHER})).await.status, 200);
+    let token = stage.ask("POST /api/v1/tokens", &ana, Some(&json!({"name": "cron", "days": 1}))).await.json();
+    assert_eq!(stage.status("DELETE /api/v1/tokens/cron", &eve).await, 204);
+    // What is refused changes nothing, and is none.
+    assert_eq!(delete(&stage, &eve, "eve").await.status, 409);
+    assert_eq!(put(&stage, &ana, "zoe", new).await.status, 403);
+    assert_eq!(delete(&stage, &eve, "bob").await.status, 204);
+    let own = stage.ask(OWN, &ana, Some(&json!({"old_password": PASSWORD, "new_password": OTHER}))).await;
+    assert_eq!(own.status, 204, "{}", own.text);
+    stage.end().await;
+
+    let text = std::fs::read(folder.path().join("data/audit-web-callisto-main.jsonl")).unwrap();
+    let found = examine(&text, None);
+    assert!(found.broken.is_none() && found.half.is_empty(), "{:?}", found.broken);
+    let records: Vec<AuditRecord> = found.good.into_iter().map(|proven| proven.record).collect();
+    let what = |record: &AuditRecord| serde_json::from_str::<Value>(&record.parameters).unwrap();
+    let of_users: Vec<_> = records.iter().filter(|record| record.device.starts_with("user/")).collect();
+    assert!(of_users.iter().all(|record| record.outcome == AuditOutcome::Done), "{of_users:?}");
+    let told: Vec<_> =
+        of_users.iter().map(|one| (one.from.as_str(), one.verb.as_str(), one.device.as_str(), what(one))).collect();
+    let (eve, ana) = ("web/eve@127.0.0.1", "web/ana@127.0.0.1");
+    let changed = json!(["observer", "operator:paranal/io"]);
+    let is_now = |before: &Value, password: bool| json!({"rights_before": before, "rights": changed, "other_password": password});
+    let expires = &told[3].3["expires_utc"];
+    let made = json!({"name": "cron", "rights": null, "expires_utc": expires});
+    assert!(expires.is_string(), "{told:?}");
+    assert_eq!(
+        told,
+        [
+            (eve, "make_user", "user/bob", json!({"rights": ["viewer"]})),
+            (eve, "change_user", "user/bob", is_now(&json!(["viewer"]), false)),
+            (eve, "change_user", "user/bob", is_now(&changed, true)),
+            (ana, "make_token", "user/ana", made),
+            (eve, "remove_token", "user/ana", json!({"name": "cron"})),
+            (eve, "remove_user", "user/bob", json!({"rights_before": changed})),
+            (ana, "change_own_password", "user/ana", json!({})),
+        ]
+    );
+    let text = String::from_utf8(text).unwrap();
+    for secret in [PASSWORD, OTHER, token["token"].as_str().unwrap(), "argon2"] {
+        assert!(!text.contains(secret), "{secret}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, anyhow, ensure};
 use clap::{Args, Subcommand};
 use contract::Name;
-use users::{Grant, PasswordHash, User, Users};
+use users::{Grant, LastEngineer, PasswordHash, User, Users};
 
 use crate::console::line;
 use password::PasswordSource;
@@ -71,9 +71,19 @@ impl UsersFile {
         Ok((path, users))
     }
 
-    /// Changes the users; what `change` refuses changes nothing.
+    /// Changes the users; what `change` refuses changes nothing, nor is the last engineer taken away.
     fn edit<T>(&self, change: impl FnOnce(&mut Users) -> anyhow::Result<T>) -> anyhow::Result<T> {
-        users::edit(&self.path()?, change)
+        let path = self.path()?;
+        let done = users::edit(&path, |users| users.keeping_engineer(change));
+        done.map_err(|error: anyhow::Error| match error.is::<LastEngineer>() {
+            true => anyhow!(
+                "{error}, by `starmesh user add NAME --right engineer` or `starmesh user right NAME engineer`. To have no users \
+                 any more, remove {} and start the web node again, with web.listen on 127.0.0.1: it serves programs of its own \
+                 host then, and nobody else",
+                path.display()
+            ),
+            false => error,
+        })
     }
 
     /// Changes one user who is there.

@@ -65,6 +65,21 @@ fn a_user_is_added_changed_and_removed_and_the_file_holds_no_secret() {
     assert_eq!(after.users[&bob].grants, ["engineer".parse().unwrap()]);
     assert!(done("remove ana").contains("with 1 tokens"));
     assert!(read().tokens.is_empty() && read().users.len() == 1);
+    let file = folder.path().join("users.toml");
+    let whole = fs::read_to_string(&file).unwrap();
+    done("add eve --right engineer:paranal/* --password-file -");
+    for taken in ["remove bob", "right bob operator", "right bob engineer:paranal/*"] {
+        let before = fs::read_to_string(&file).unwrap();
+        let output = user(folder.path(), taken, "");
+        assert!(!output.success && output.err.contains("make another engineer first"), "{taken}: {}", output.err);
+        assert!(output.err.contains("starmesh user add") && output.err.contains("users.toml"), "{}", output.err);
+        assert_eq!(fs::read_to_string(&file).unwrap(), before, "{taken}");
+    }
+    done("right eve engineer viewer");
+    done("remove bob");
+    assert!(!user(folder.path(), "remove eve", "").success);
+    // Whom nobody could change on the page anyway, the command may remove.
+    fs::write(&file, whole.replace("\"engineer\"", "\"operator\"")).unwrap();
     assert!(done("remove bob").contains("nobody can log in"));
 }
 

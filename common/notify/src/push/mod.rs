@@ -13,7 +13,7 @@ use ring::digest::{SHA256, digest};
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
-pub use subscriptions::{NotTaken, Subscriptions};
+pub use subscriptions::{NotTaken, Refused, Subscriptions};
 
 use self::endpoint::Endpoint;
 

@@ -1,11 +1,12 @@
 //! The browsers that have subscribed at this node, and its key, in one file, which is written whole and for its user alone.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use anyhow::{bail, ensure};
+use anyhow::anyhow;
 use bus::Clock;
 use internet::{Method, StatusCode, header};
 use node::{aside, private};
@@ -51,6 +52,18 @@ pub enum NotTaken {
     /// It cannot be written down.
     Disk(io::Error),
 }
+
+/// A push service takes no message for this browser, now or later; with its words.
+#[derive(Debug)]
+pub struct Refused(String);
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Refused {}
 
 /// As in the file.
 #[derive(Serialize, Deserialize)]
@@ -103,24 +116,28 @@ impl Subscriptions {
         self.known.subscribe()
     }
 
+    /// Could one be taken now? True where it is of a new browser.
+    ///
+    /// # Errors
+    /// It is none, or there are too many.
+    pub fn check(&self, subscription: &Subscription) -> Result<bool, NotTaken> {
+        Endpoint::read(&subscription.endpoint, &self.services).map_err(NotTaken::Wrong)?;
+        subscription.encrypt(b"").map_err(|why| NotTaken::Wrong(format!("{why:#}")))?;
+        let known = self.known.borrow();
+        has_room(&known, subscription)?;
+        Ok(!known.contains_key(&subscription.id()))
+    }
+
     /// Takes one, in the place of an earlier one of the same browser. It is on disk when this returns.
     ///
     /// # Errors
     /// It is none, there are too many, or the disk does not take it.
     pub async fn add(&self, subscription: Subscription) -> Result<(), NotTaken> {
-        Endpoint::read(&subscription.endpoint, &self.services).map_err(NotTaken::Wrong)?;
-        subscription.encrypt(b"").map_err(|why| NotTaken::Wrong(format!("{why:#}")))?;
-        let taken = self.change(|known| {
-            let (id, user) = (subscription.id(), subscription.user.clone());
-            let others = known.iter().filter(|(known, _)| **known != id);
-            let (all, own) = others.fold((0, 0), |(all, own), (_, one)| (all + 1, own + usize::from(one.user == user)));
-            if own >= MOST_OF_USER || all >= MOST {
-                return Err(NotTaken::TooMany(format!(
-                    "{own} devices of {user} get alerts, and {all} of all users: expected fewer than {MOST_OF_USER} and {MOST}; \
-                     remove some first"
-                )));
-            }
-            known.insert(id, subscription);
+        self.check(&subscription)?;
+        let taken = self.change(|known| -> Result<(), NotTaken> {
+            // Others may have come while it waited for its turn.
+            has_room(known, &subscription)?;
+            known.insert(subscription.id(), subscription);
             Ok(())
         });
         taken.await.map_err(NotTaken::Disk)?
@@ -162,7 +179,7 @@ impl Subscriptions {
     /// Sends a message to one of them. Where its push service says that it takes no more, it is dropped.
     ///
     /// # Errors
-    /// The push service did not take it, with the reason.
+    /// The push service did not take it, with the reason; [`Refused`] where it will not take it later either.
     pub async fn send(
         self: &Arc<Self>,
         to: &Subscription,
@@ -192,21 +209,43 @@ impl Subscriptions {
             is_strangers,
         };
         let status = http.status(ask, ca_file).await?;
-        if matches!(status, StatusCode::NOT_FOUND | StatusCode::GONE) {
-            let id = to.id();
-            self.retain(|known, _| known != id).await?;
-            tracing::warn!(
-                user = to.user,
-                device = to.device,
-                "a browser takes no more alerts: it has withdrawn its subscription"
-            );
-            bail!("the browser takes no more: its subscription has ended, and was removed");
+        let what_to_do = match status {
+            StatusCode::NOT_FOUND | StatusCode::GONE => {
+                let id = to.id();
+                if self.retain(|known, _| known != id).await? > 0 {
+                    tracing::warn!(
+                        user = to.user,
+                        device = to.device,
+                        "a browser takes no more alerts: it has withdrawn its subscription"
+                    );
+                }
+                ": the subscription of the browser has ended"
+            }
+            StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => {
+                ": look at the clock of this host, or switch the alerts off and on again on that device"
+            }
+            _ => "",
+        };
+        let why = format!("it answered {status}{what_to_do}");
+        match status {
+            taken if taken.is_success() => Ok(()),
+            busy if busy.is_server_error() || busy == StatusCode::TOO_MANY_REQUESTS => Err(anyhow!(why)),
+            _ => Err(Refused(why).into()),
         }
-        let clock = "look at the clock of this host, or switch the alerts off and on again on that device";
-        ensure!(!matches!(status, StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN), "it answered {status}: {clock}");
-        ensure!(status.is_success(), "it answered {status}");
-        Ok(())
     }
+}
+
+fn has_room(known: &Devices, new: &Subscription) -> Result<(), NotTaken> {
+    let (id, user) = (new.id(), &new.user);
+    let others = known.iter().filter(|(known, _)| **known != id);
+    let (all, own) = others.fold((0, 0), |(all, own), (_, one)| (all + 1, own + usize::from(one.user == *user)));
+    if own >= MOST_OF_USER || all >= MOST {
+        return Err(NotTaken::TooMany(format!(
+            "{own} devices of {user} get alerts, and {all} of all users: expected fewer than {MOST_OF_USER} and {MOST}; remove \
+             some first"
+        )));
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-// Who moved what: the records of device and observatory nodes, as the archive has them. Each command is one line, with what became of it.
+// Who moved what: the records of device, observatory and web nodes, as the archive has them. Each command is one line, with what became of it.
 import { html, useSignal } from "../lib.js";
 import { useGet } from "../api.js";
 import { clock, day, number } from "../format.js";

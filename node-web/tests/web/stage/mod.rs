@@ -11,6 +11,7 @@ use bus::{Bus, Clock};
 use contract::{Address, Key, Payload, Role};
 use node::Node;
 use serde_json::Value;
+use tempfile::TempDir;
 use test_support::{LIMIT, PARANAL, RunningNode, block, join, private_bus};
 use tokio::sync::watch;
 
@@ -19,18 +20,26 @@ pub struct Stage {
     pub url: String,
     pub http: reqwest::Client,
     node: RunningNode,
+    _folder: Option<TempDir>,
 }
 
 impl Stage {
     pub async fn start() -> Self {
-        Self::start_with("", Path::new(".")).await
+        Self::start_alone("").await
+    }
+
+    /// With more lines in `[web]`, in a folder of its own.
+    pub async fn start_alone(web: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let stage = Self::start_with(web, folder.path()).await;
+        Self { _folder: Some(folder), ..stage }
     }
 
     /// With more lines in `[web]`; its files are in `folder`.
     pub async fn start_with(web: &str, folder: &Path) -> Self {
         let (bus, node) = Self::begin(web, folder).await;
         let url = node.page_url(&bus).await;
-        Self { bus, url, http: reqwest::Client::new(), node }
+        Self { bus, url, http: reqwest::Client::new(), node, _folder: None }
     }
 
     /// The node alone, which may have reasons not to serve.
