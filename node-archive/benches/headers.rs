@@ -92,10 +92,11 @@ async fn main() {
         }
     }
     let pixels = vec![7u8; SHAPE.bytes().unwrap()];
+    std::fs::create_dir_all(config.folders.images.join(".part")).unwrap();
     let mut images = Vec::new();
     for index in 0..FRAMES {
         let frame = frame(index, start);
-        let path = folder.path().join(format!("{index}.fits"));
+        let path = config.folders.images.join(format!("{index}.fits"));
         let known = HeaderFacts {
             frame: &frame,
             place: &config.place,
@@ -114,19 +115,18 @@ async fn main() {
         // As the archive does before it names a file.
         std::fs::File::open(&path).unwrap().sync_all().unwrap();
         let file = format!("{index}.fits");
-        images.push(StoredImage { frame, path, file, bytes: 8_388_608, stored: start });
+        images.push(StoredImage { frame, file, bytes: 8_388_608, stored: start });
     }
     let last = images.last().cloned().unwrap();
-    database.commit(vec![Write::Stored(Box::new(last))]).await.unwrap();
+    database.commit(vec![Write::Stored(Box::new(last), Default::default())]).await.unwrap();
 
     if let Some(stored) = std::env::var_os("BENCH_FOLDER") {
         for image in images.iter().take(20) {
-            std::fs::copy(&image.path, Path::new(&stored).join(&image.file)).unwrap();
+            std::fs::copy(image.path(&config.folders.images), Path::new(&stored).join(&image.file)).unwrap();
         }
     }
     let (reader, newest) = (Reader::open(&path, "callisto").unwrap(), Newest::default());
-    std::fs::create_dir(folder.path().join(".part")).unwrap();
-    let completer = Completer::new(folder.path());
+    let completer = Completer::new(&config.folders.images);
     let site = Site { config: &config, table: &table, newest: &newest, speed: 1.0, completer: &completer };
     let began = Instant::now();
     let mut added = 0;

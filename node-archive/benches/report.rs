@@ -93,13 +93,10 @@ fn writes(number: u64, boot: &BootId) -> Vec<Write> {
             new_stars: vec![],
             fluxes: fluxes.collect(),
         })),
-        Write::Stored(Box::new(StoredImage {
-            path: format!("/images/{file}").into(),
-            file,
-            bytes: 8_391_680,
-            stored: at(30 * number + 28),
-            frame,
-        })),
+        Write::Stored(
+            Box::new(StoredImage { file, bytes: 8_391_680, stored: at(30 * number + 28), frame }),
+            Default::default(),
+        ),
     ];
     all.extend((0..20).map(log));
     all

@@ -65,11 +65,10 @@ async fn store(database: &Database, from: usize) -> (f64, f64) {
     let mut took_ms = Vec::new();
     for number in from..from + 100 {
         let frame = Frame { id: CommandId(format!("new-{number}")), ..golden() };
-        let (path, file, stored) =
-            (format!("/images/new-{number}.fits").into(), format!("new-{number}.fits"), frame.started_utc);
+        let (file, stored) = (format!("new-{number}.fits"), frame.started_utc);
         let began = Instant::now();
-        let image = StoredImage { frame, path, file, bytes: 5760, stored };
-        database.commit(vec![Write::Stored(Box::new(image))]).await.unwrap();
+        let image = StoredImage { frame, file, bytes: 5760, stored };
+        database.commit(vec![Write::Stored(Box::new(image), Default::default())]).await.unwrap();
         took_ms.push(began.elapsed().as_secs_f64() * 1e3);
     }
     took_ms.sort_by(f64::total_cmp);

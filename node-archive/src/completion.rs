@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use crate::folder::{PART_FOLDER, is_taken, sync_folder};
-use crate::header::UNKNOWN;
 use crate::plan::Plan;
 use crate::solution;
 use crate::stored_header::Header;
@@ -61,14 +60,11 @@ impl Completer {
 
     /// Sets the plan's keywords in a file whose header was read after [`Self::recover`]. Twice changes nothing more.
     pub fn complete(&self, path: &Path, mut header: Header, plan: &Plan) -> Result<(), CompletionError> {
-        header.retain(|keyword| solution::stays(keyword, &plan.cards));
+        header.retain(|keyword| solution::stays(keyword, plan));
         for card in &plan.cards {
             header.set(card);
         }
-        header.forget_history(UNKNOWN);
-        for line in &plan.history {
-            header.add_history(line);
-        }
+        header.renew_history(&plan.own_history, &plan.history);
         header.update_checksum();
         let bytes = header.to_bytes();
         if bytes.len() != header.length() {

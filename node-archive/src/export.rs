@@ -15,7 +15,7 @@ use units::Utc;
 use crate::database::{read_only, stamp};
 use crate::delivery::hash::hash_file;
 use crate::delivery::manifest::{Held, Manifest, ManifestFile};
-use crate::folder::relative_text;
+use crate::folder::{relative_text, without_links};
 use crate::night::Night;
 use crate::reader::Reader;
 use crate::{night_report, parquet};
@@ -85,19 +85,21 @@ pub fn export(config: &Observatory, database: &Path, night: &Night, out: &Path, 
     ensure!(entries.next().is_none(), "the folder {folder} is not empty: name one that is new or empty");
     let frames = Reader::open(database, config.place.telescope.as_str())?.frames(night.from, night.to)?;
     let (mut exported, mut files) = (Exported::default(), Vec::new());
+    let images = &config.folders.images;
     for frame in &frames {
         let (image, name) = (&frame.image, format!("files/{}", frame.image.file));
-        let to = out.join(&name);
-        if !image.path.exists() {
+        let (from, to) = (image.path(images), out.join(&name));
+        if !from.exists() {
             exported.gone.push(image.file.clone());
             continue;
         }
-        let cannot = || format!("cannot copy {} to {}", image.path.display(), to.display());
+        let cannot = || format!("cannot copy {} to {}", from.display(), to.display());
+        without_links(images, &from).with_context(cannot)?;
         fs::create_dir_all(to.parent().unwrap_or(out)).with_context(cannot)?;
         let part = to.with_extension("part");
-        fs::copy(&image.path, &part).and_then(|_| File::open(&part)?.sync_all()).with_context(cannot)?;
+        fs::copy(&from, &part).and_then(|_| File::open(&part)?.sync_all()).with_context(cannot)?;
         let held = hash_file(&part).with_context(cannot)?;
-        let here = hash_file(&image.path).with_context(cannot)?;
+        let here = hash_file(&from).with_context(cannot)?;
         ensure!(
             held == here,
             "{} differs from {}: a header was completed meanwhile; try again",

@@ -171,14 +171,17 @@ fn real_folder(inside: &Path, name: &str) -> io::Result<PathBuf> {
     Err(io::Error::other(format!("no name like {name:?} is free in {}", inside.display())))
 }
 
-/// Proves that no part of a path below the folder of images is a link; a path elsewhere is not looked at.
+/// Proves that a path is below the folder of images, and no part of it there a link.
 ///
 /// # Errors
-/// A part is a link, and its name.
+/// It leads out of the folder, or a part is a link, and its name.
 pub fn without_links(images: &Path, path: &Path) -> io::Result<()> {
-    let Ok(relative) = path.strip_prefix(images) else { return Ok(()) };
+    let outside = || io::Error::other(format!("{} is not in {}", path.display(), images.display()));
     let mut place = images.to_owned();
-    for part in relative.components() {
+    for part in path.strip_prefix(images).map_err(|_| outside())?.components() {
+        if !matches!(part, Component::Normal(_)) {
+            return Err(outside());
+        }
         place.push(part);
         if fs::symlink_metadata(&place).is_ok_and(|found| found.is_symlink()) {
             return Err(io::Error::other(format!("{} is a link, and links here are not followed", place.display())));
@@ -216,6 +219,30 @@ pub fn put(images: &Path, file: &Path, bytes: &[u8]) -> io::Result<()> {
     written.sync_all()?;
     fs::rename(&part, file)?;
     sync_folder(file)
+}
+
+/// Renames a file, and replaces none.
+///
+/// # Errors
+/// The name is taken, or the file system refuses.
+pub fn rename_to_free(part: &Path, target: &Path) -> io::Result<()> {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::fs::{CWD, RenameFlags, renameat_with};
+        use rustix::io::Errno;
+        match renameat_with(CWD, part, CWD, target, RenameFlags::NOREPLACE) {
+            // Not every network file system knows this flag.
+            Err(Errno::INVAL | Errno::NOSYS | Errno::NOTSUP) => {}
+            done => return done.map_err(io::Error::from),
+        }
+    }
+    match fs::hard_link(part, target) {
+        Ok(()) => fs::remove_file(part),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Err(error),
+        // Without links there is an instant in which somebody else could take the name.
+        Err(_) if fs::symlink_metadata(target).is_err() => fs::rename(part, target),
+        Err(error) => Err(error),
+    }
 }
 
 /// Is there anything of this name, a link that leads nowhere included?

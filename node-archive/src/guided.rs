@@ -15,6 +15,9 @@ use crate::reader::Reader;
 /// Guiding runs if it measured a frame in this time before an exposure, or in the time of one exposure before it; sky s.
 const RUNS_S: f64 = 60.0;
 
+/// The begin of the line of history of a frame without the keyword.
+const NOT_GUIDED: &str = "not guided, as far as known at completion";
+
 /// The keyword of a frame; the history says so where a frame of a target has none.
 ///
 /// # Errors
@@ -29,11 +32,12 @@ pub fn plan(reader: &Reader, telescope: &str, frame: &Frame) -> Result<Plan, Dat
     Ok(match rms(&errors_px) {
         Some(rms_px) => {
             let comment = format!("[pix] rms guide error, guide frames: {}", errors_px.len());
-            Plan { cards: vec![Card::new(GUIDED, CardValue::Float(rms_px), &comment)], history: Vec::new() }
+            let card = Card::new(GUIDED, CardValue::Float(rms_px), &comment);
+            Plan { cards: vec![card], own_history: vec![NOT_GUIDED], ..Plan::default() }
         }
         None if frame.purpose.action == "object" => {
-            let note = format!("not guided, as far as known at completion: {GUIDED}");
-            Plan { cards: Vec::new(), history: vec![note] }
+            let note = format!("{NOT_GUIDED}: {GUIDED}");
+            Plan { history: vec![note], own_history: vec![NOT_GUIDED], ..Plan::default() }
         }
         None => Plan::default(),
     })

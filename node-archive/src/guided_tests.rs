@@ -38,6 +38,31 @@ fn frame(action: &str, second: f64) -> Frame {
     }
 }
 
+/// A correction of a frame whose stars stood so far from where they are held.
+fn off(sample: &Correction, off_px: Option<f64>) -> Correction {
+    let along = |share: f64| off_px.map(|off_px| share * off_px);
+    Correction { dx_px: along(-1.0), dy_px: along(0.0), ..sample.clone() }
+}
+
+/// Not how well the distance was measured, which is the `error_px` beside it.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_guide_error_is_the_distance_of_the_stars_from_where_they_are_held() {
+    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
+    let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
+    let off_px = sample.dx_px.unwrap().hypot(sample.dy_px.unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("archive.db");
+    let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
+    let correction = Correction { mid_utc: at(15.0), ..sample };
+    let stored = StoredCorrection { correction, telescope: "callisto".to_owned(), origin: (BootId::fresh(), 0) };
+    database.commit(vec![Write::Correction(Box::new(stored))]).await.unwrap();
+    let plan = plan(&Reader::open(&path, "callisto").unwrap(), "callisto", &frame("object", 0.0)).unwrap();
+    let CardValue::Float(rms_px) = plan.cards[0].value else { panic!("{plan:?}") };
+    assert!((rms_px - off_px).abs() < 1e-12, "{rms_px}");
+    drop(database);
+    writer.end().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn guide_errors_during_the_exposure_make_the_keyword_and_those_of_other_telescopes_do_not() {
     let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
@@ -53,9 +78,9 @@ async fn guide_errors_during_the_exposure_make_the_keyword_and_those_of_other_te
         (25.0, Some(50.0), "io"),
         (31.0, Some(9.0), "callisto"),
     ];
-    for (number, (second, error_px, telescope)) in measured.into_iter().enumerate() {
+    for (number, (second, off_px, telescope)) in measured.into_iter().enumerate() {
         let frame = CommandId(format!("guide-{number}"));
-        let correction = Correction { frame, mid_utc: at(second), error_px, ..sample.clone() };
+        let correction = Correction { frame, mid_utc: at(second), ..off(&sample, off_px) };
         let origin = (BootId::fresh(), number as u64);
         let stored = StoredCorrection { correction, telescope: telescope.to_owned(), origin };
         database.commit(vec![Write::Correction(Box::new(stored))]).await.unwrap();
@@ -91,7 +116,7 @@ async fn a_frame_counts_what_was_measured_from_its_first_to_its_last_moment_and_
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("archive.db");
     let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
-    for (id, second, error_px) in [
+    for (id, second, off_px) in [
         ("before", -0.000_001, Some(100.0)),
         ("first", 0.0, Some(6.0)),
         // Received a second time, as after a restart of the bus.
@@ -102,7 +127,7 @@ async fn a_frame_counts_what_was_measured_from_its_first_to_its_last_moment_and_
         ("much later", 3610.0, None),
     ] {
         let frame = CommandId(id.to_owned());
-        let correction = Correction { frame, mid_utc: at(second), error_px, ..sample.clone() };
+        let correction = Correction { frame, mid_utc: at(second), ..off(&sample, off_px) };
         let stored = StoredCorrection { correction, telescope: "callisto".to_owned(), origin: (BootId::fresh(), 0) };
         database.commit(vec![Write::Correction(Box::new(stored))]).await.unwrap();
     }

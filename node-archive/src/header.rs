@@ -19,7 +19,8 @@ use crate::astronomy::{self, Exposure, fits_date};
 use crate::card::{Card, CardValue};
 use crate::interpolate::{Rule, Sample, value_at};
 use crate::plan::Plan;
-use crate::sensor::Sensor;
+use crate::sensor::{Sensor, is_constant, was_lost};
+use crate::stored_header::Header;
 use crate::{quality, solution};
 
 /// The value of the ASTRA keyword.
@@ -29,6 +30,8 @@ const LEFT_TO_FITS: [&str; 14] = [
     "SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "NAXIS3", "EXTEND", "BZERO", "BSCALE", "BLANK", "CHECKSUM",
     "DATASUM", "END", "PCOUNT",
 ];
+/// Words at the begin of cards that are no keywords with a value.
+const COMMENTARY: [&str; 4] = ["COMMENT", "HISTORY", "CONTINUE", "HIERARCH"];
 /// The begin of the lines of history that name what was not polled near the exposure.
 pub const UNKNOWN: &str = "not known at DATE-OBS";
 /// Room that a new file keeps beyond the rows of the table: what was measured (24), a plate solution with its
@@ -37,7 +40,7 @@ const SPARE_CARDS: usize = 128;
 
 /// Whether no table decides about a keyword: the file's structure, compressed or not.
 fn is_left_to_fits(keyword: &str) -> bool {
-    LEFT_TO_FITS.contains(&keyword) || fits::restore::is_about_tiles(keyword)
+    LEFT_TO_FITS.contains(&keyword) || COMMENTARY.contains(&keyword) || fits::restore::is_about_tiles(keyword)
 }
 
 /// The ellipsoid of IAU 1976, which FITS has for OBSGEO-H (Rots et al. 2015, A&A 574, A36, section 4.1.3), is so much larger than
@@ -61,7 +64,7 @@ pub struct HeaderFacts<'a> {
 type Compute = fn(&HeaderFacts<'_>) -> Option<CardValue>;
 
 /// Keywords that Starmesh knows when a file is made, with the comment for a table that does not list them.
-const COMPUTED: [(&str, Compute, &str); 34] = [
+const COMPUTED: [(&str, Compute, &str); 37] = [
     ("DATE-OBS", |k| Some(CardValue::Text(fits_date(k.frame.started_utc))), "UTC at start of exposure"),
     ("DATE", |k| Some(CardValue::Text(fits_date(k.written))), "UTC when the file was written"),
     ("EXPTIME", |k| Some(CardValue::Float(k.frame.exposure_s)), "[s] exposure time"),
@@ -84,6 +87,9 @@ const COMPUTED: [(&str, Compute, &str); 34] = [
     ("RDNOISE", |k| k.sensor.read_noise_e.map(CardValue::Float), "read noise, electrons rms"),
     ("SATURATE", |k| k.saturation().map(CardValue::Float), "[adu] pixels from here on are saturated"),
     ("ROWORDER", |_| Some("TOP-DOWN".into()), "the first row of the file is the top one"),
+    ("BAYERPAT", |k| k.bayer_px().map(|_| "RGGB".into()), "colours of the pixels of a 2 x 2 pattern"),
+    ("XBAYROFF", |k| k.bayer_px().map(|[x, _]| CardValue::Int(x)), "column of the pattern that the first column is"),
+    ("YBAYROFF", |k| k.bayer_px().map(|[_, y]| CardValue::Int(y)), "row of the pattern that the first row is"),
     ("SWCREATE", |_| Some(PROGRAM.into()), "program and version"),
     ("OBSGEO-L", |k| Some(CardValue::Float(k.place.longitude_deg)), "[deg] longitude of the site, east positive"),
     ("OBSGEO-B", |k| Some(CardValue::Float(k.place.latitude_deg)), "[deg] latitude of the site, north positive"),
@@ -105,7 +111,13 @@ const ALWAYS: [&str; 12] = [
 ];
 
 /// The keywords of [`COMPUTED`] that every file has, unless the table gives them another value. Archives ask for them.
-const UNLESS_GIVEN: [&str; 8] = ["OBSERVAT", "NIGHT", "SCHEDROW", "GAIN", "EGAIN", "RDNOISE", "SATURATE", "ROWORDER"];
+const UNLESS_GIVEN: [&str; 11] = [
+    "OBSERVAT", "NIGHT", "SCHEDROW", "GAIN", "EGAIN", "RDNOISE", "SATURATE", "ROWORDER", "BAYERPAT", "XBAYROFF",
+    "YBAYROFF",
+];
+
+/// ASCOM's `SensorType` of a sensor whose pixels see red and green, and in the next row green and blue.
+const RGGB: f64 = 2.0;
 
 /// A pixel of this share of the largest value of the driver is clipped.
 const CLIPPED: f64 = 0.99;
@@ -131,6 +143,17 @@ impl HeaderFacts<'_> {
         // Clipped pixels have the driver's largest value, or a little less once a bias is taken off: programs that look for
         // what is above the keyword would see none of them.
         given.or_else(|| Some((CLIPPED * self.positive(Kind::Camera, "MaxADU")?.min(holds_adu)).floor()))
+    }
+
+    /// Where in the pattern of a one-shot colour sensor the frame begins: column and row, 0 or 1; absent where no pixel of the
+    /// file is one of such a sensor.
+    fn bayer_px(&self) -> Option<[i64; 2]> {
+        let Frame { bin, planes, origin_px: [x, y], .. } = *self.frame;
+        let offset = |property, origin: u32| {
+            Some((self.number(Kind::Camera, property)? + f64::from(origin)).rem_euclid(2.0) as i64)
+        };
+        let has_pattern = bin == 1 && planes == 1 && self.number(Kind::Camera, "SensorType")? == RGGB;
+        if has_pattern { Some([offset("BayerOffsetX", x)?, offset("BayerOffsetY", y)?]) } else { None }
     }
 
     /// A coordinate of the site in the Earth's frame, m.
@@ -160,7 +183,11 @@ fn night(frame: &Frame) -> Option<&str> {
 
 /// Rows of a table that will leave no trace in a header, and why.
 pub fn check(table: &HeaderTable) -> Vec<String> {
-    let mut notes = Vec::new();
+    let mut notes: Vec<String> =
+        table.repeated.iter().map(|keyword| format!("{keyword}: another row of it stands above")).collect();
+    let is_commentary = |row: &&HeaderRow| COMMENTARY.contains(&row.keyword.as_str());
+    notes
+        .extend(table.rows.iter().filter(is_commentary).map(|row| format!("{}: it has no value in FITS", row.keyword)));
     for row in table.rows.iter().filter(|row| !is_left_to_fits(&row.keyword)) {
         let known = COMPUTED.iter().any(|(keyword, ..)| *keyword == row.keyword)
             || astronomy::KEYWORDS.contains(&row.keyword.as_str())
@@ -252,7 +279,7 @@ fn base_value(row: &HeaderRow, known: &HeaderFacts<'_>) -> Option<CardValue> {
             "INSTRUME" => compute(),
             _ => None,
         },
-        Source::Static(text) => literal(row.dtype, &with_names(text, known)),
+        Source::Static(text) => literal(row.dtype, &with_names(text, known.place, &known.frame.camera)),
         Source::Metadata(key) => {
             let text = known.frame.purpose.metadata.get(key)?;
             let value = literal(row.dtype, text);
@@ -280,10 +307,10 @@ fn in_unit(row: &HeaderRow, value: CardValue) -> CardValue {
 }
 
 /// A text of the table with the names of site, telescope and camera in the places for them.
-fn with_names(text: &str, known: &HeaderFacts<'_>) -> String {
-    text.replace("{site}", known.place.site.as_str())
-        .replace("{telescope}", known.place.telescope.as_str())
-        .replace("{camera}", &known.frame.camera)
+pub fn with_names(text: &str, place: &config::Place, camera: &str) -> String {
+    text.replace("{site}", place.site.as_str())
+        .replace("{telescope}", place.telescope.as_str())
+        .replace("{camera}", camera)
 }
 
 fn site(place: &config::Place, property: &str) -> Option<f64> {
@@ -364,6 +391,8 @@ pub struct Later<'a> {
     pub holds_s: f64,
     /// Keywords that the file has already.
     pub present: &'a BTreeSet<String>,
+    /// Those of which an earlier completion said that they are not known; absent at the first one.
+    pub unknown_before: Option<&'a BTreeSet<String>>,
     /// The polls of a property around the start; `None` where no such device is paired with the camera.
     pub around: &'a dyn Fn(Kind, &str) -> Option<Around>,
 }
@@ -401,6 +430,13 @@ pub fn completion(table: &HeaderTable, later: &Later<'_>) -> Result<Plan, SkyErr
                 place.map(|place| CardValue::Float(if keyword == "RA" { place.ra } else { place.dec }.degrees()))
             }
             Source::Property(..) if row.fixed && later.present.contains(keyword) => continue,
+            // What was read at another time may be the setting of another exposure.
+            Source::Property(Kind::Camera, property) if row.fixed && !is_constant(property) => {
+                if !was_lost(frame, property) {
+                    continue;
+                }
+                None
+            }
             Source::Property(kind, property) => {
                 let Some(around) = (later.around)(*kind, property) else { continue };
                 if around.before.is_none() && around.after.is_none() && around.received_since {
@@ -422,7 +458,8 @@ pub fn completion(table: &HeaderTable, later: &Later<'_>) -> Result<Plan, SkyErr
             Some(value) if !matches!(value, CardValue::Float(number) if !number.is_finite()) => {
                 plan.cards.push(Card::new(keyword, value, &row.comment));
             }
-            _ => missing.push(keyword),
+            _ if later.is_missing(keyword) => missing.push(keyword),
+            _ => {}
         }
     }
     for (keyword, comment) in astronomy::MIDDLE {
@@ -442,10 +479,30 @@ pub fn completion(table: &HeaderTable, later: &Later<'_>) -> Result<Plan, SkyErr
         plan.cards.push(Card::new("OBJAZ", CardValue::Float(azimuth), &format!("[deg] azimuth {what}")));
     }
     plan.history = missing_lines(&missing);
+    plan.own_history = vec![UNKNOWN];
     Ok(plan)
 }
 
+/// The keywords of which an earlier completion of this header said that they are not known; absent where there was none.
+pub fn unknown_before(table: &HeaderTable, stored: &Header) -> Option<BTreeSet<String>> {
+    let present = stored.keywords();
+    let is_ours = |keyword: &str| {
+        table.rows.iter().find(|row| row.keyword == keyword).is_none_or(|row| row.source == Source::Computed)
+    };
+    let is_complete = astronomy::KEYWORDS.iter().any(|keyword| present.contains(*keyword) && is_ours(keyword));
+    let said = |card: String| {
+        let keywords = card.strip_prefix("HISTORY ")?.strip_prefix(UNKNOWN)?.strip_prefix(": ")?;
+        Some(keywords.split(", ").map(str::to_owned).collect::<Vec<_>>())
+    };
+    is_complete.then(|| stored.cards().filter_map(said).flatten().collect())
+}
+
 impl Later<'_> {
+    /// Whether a keyword without a value is one that should have one: telemetry that is forgotten by now takes nothing back.
+    fn is_missing(&self, keyword: &str) -> bool {
+        !self.present.contains(keyword) && self.unknown_before.is_none_or(|before| before.contains(keyword))
+    }
+
     fn interpolated(&self, kind: Kind, property: &str, dtype: Dtype, around: &Around) -> Option<Scalar> {
         let rule = Rule::of(kind, property, dtype);
         let (before, after) = (around.before.as_ref(), around.after.as_ref());

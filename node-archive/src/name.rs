@@ -279,9 +279,17 @@ fn word(text: &str) -> String {
     if parts.is_empty() { "NA".to_owned() } else { parts.join("-") }
 }
 
-/// An exposure time without a dot: `120s`, `1500ms`, `250us`.
+/// An exposure time without a dot: `120s`, `1500ms`, `250us`. It is rounded to 10 ms from 1 s on, to 0.1 ms from 1 ms on:
+/// cameras report what they counted, such as 119.99987 s.
 fn exposure_word(exposure_s: f64) -> String {
-    let microseconds = (exposure_s * 1e6).round();
+    let step_us = if exposure_s < 0.001 {
+        1.0
+    } else if exposure_s < 1.0 {
+        100.0
+    } else {
+        10_000.0
+    };
+    let microseconds = (exposure_s * 1e6 / step_us).round() * step_us;
     if !(0.0..1e15).contains(&microseconds) {
         return "NA".to_owned();
     }

@@ -1,6 +1,8 @@
 //! Completes headers as soon as the telemetry around their exposures has arrived, without being asked.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
+use std::io::ErrorKind;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
@@ -17,13 +19,14 @@ use contract::{BootId, CommandId, Device, Kind, Scalar};
 use node::Node;
 use tokio::sync::Notify;
 
-use crate::completion::{Completer, read_header};
+use crate::completion::{Completer, CompletionError, read_header};
 use crate::database::{Database, StoredFacts, StoredImage, Write};
 use crate::facts;
-use crate::folder::without_links;
-use crate::header::{Around, Later, completion, needed};
+use crate::folder::{PART_FOLDER, without_links};
+use crate::header::{Around, Later, completion, needed, unknown_before};
 use crate::pairing::pairing;
 use crate::plan::Plan;
+use crate::quality::GUIDED;
 use crate::reader::Reader;
 use crate::sensor::unknown_of_sensor;
 use crate::telemetry::Newest;
@@ -121,10 +124,11 @@ pub fn complete_image(
         let received_since = around.received_since || is_void;
         polls.insert((kind, property), Around { received_since, ..around });
     }
-    without_links(&config.folders.images, &image.path).context("the file is not where it was written")?;
-    site.completer.recover(&image.path)?;
-    let stored = read_header(&image.path)?;
-    let present = stored.keywords();
+    let path = image.path(&config.folders.images);
+    without_links(&config.folders.images, &path).context("the file is not where it was written")?;
+    site.completer.recover(&path)?;
+    let stored = read_header(&path)?;
+    let (present, unknown) = (stored.keywords(), unknown_before(site.table, &stored));
     for (kind, property) in missing_fixed(site.table, &present).chain(POINTING) {
         if let (Some(device), false) = (devices.get(&kind), polls.contains_key(&(kind, property))) {
             polls.insert((kind, property), reader.around(device, property, frame.started_utc)?);
@@ -135,28 +139,62 @@ pub fn complete_image(
         Some(polls.get(&(kind, property)).cloned().unwrap_or_default())
     };
     let mount = devices.get(&Kind::Telescope).map_or(EquatorialSystem::Other, |mount| site.mount_frame(mount));
-    let later =
-        Later { frame, place: &config.place, mount, holds_s: site.holds_s(), present: &present, around: &around };
+    let (place, holds_s, unknown_before) = (&config.place, site.holds_s(), unknown.as_ref());
+    let later = Later { frame, place, mount, holds_s, present: &present, unknown_before, around: &around };
     let mut plan = completion(site.table, &later)?;
     plan.history.extend(unknown_of_sensor(&present));
     if let Some(facts) = facts {
-        let measured = measured(site.table, facts, frame);
-        plan.cards.extend(measured.cards);
-        plan.history.extend(measured.history);
+        plan.extend(measured(site.table, facts, frame));
     }
-    let guided = guided::plan(reader, config.place.telescope.as_str(), frame)?;
-    plan.cards.extend(guided.cards);
-    plan.history.extend(guided.history);
-    site.completer.complete(&image.path, stored, &plan)?;
+    let mut guided = guided::plan(reader, config.place.telescope.as_str(), frame)?;
+    if present.contains(GUIDED) {
+        // What was measured then may be forgotten by now.
+        guided.history.clear();
+    }
+    plan.extend(guided);
+    site.completer.complete(&path, stored, &plan)?;
     Ok(Some(plan))
 }
 
 /// The keywords that the facts of a frame add to its header.
 fn measured(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
-    let (mut plan, solution) = (quality::plan(table, facts), solution::plan(table, facts, frame));
-    plan.cards.extend(solution.cards);
-    plan.history.extend(solution.history);
+    let mut plan = quality::plan(table, facts);
+    plan.extend(solution::plan(table, facts, frame));
     plan
+}
+
+/// What became of facts that came after their header was complete.
+enum Late {
+    InHeader,
+    /// The file was moved away or is none of ours, for this reason.
+    Gone(String),
+    Failed(String),
+}
+
+/// Puts facts that came late into a header that is complete already. Blocks.
+fn put_late(images: &Path, table: &HeaderTable, image: &StoredImage, facts: &FrameFacts) -> Late {
+    let (path, completer) = (image.path(images), Completer::new(images));
+    let put = || -> anyhow::Result<()> {
+        without_links(images, &path)?;
+        completer.recover(&path)?;
+        let plan = measured(table, facts, &image.frame);
+        Ok(completer.complete(&path, read_header(&path)?, &plan)?)
+    };
+    match put() {
+        Ok(()) => Late::InHeader,
+        Err(error) if is_gone(images, &path) => Late::Gone(format!("{error:#}")),
+        Err(error) => Late::Failed(format!("{error:#}")),
+    }
+}
+
+/// Whether there is no file of ours at a path; where the archive's own folder is missing too, its disk is away.
+fn is_gone(images: &Path, path: &Path) -> bool {
+    let is_missing = |error: &CompletionError| match error {
+        CompletionError::NoHeader(_) => true,
+        CompletionError::File { source, .. } => source.kind() == ErrorKind::NotFound,
+    };
+    images.join(PART_FOLDER).is_dir()
+        && (without_links(images, path).is_err() || read_header(path).is_err_and(|error| is_missing(&error)))
 }
 
 /// Fixed properties that the devices had not published yet when the file was made.
@@ -190,15 +228,20 @@ impl Site<'_> {
 pub async fn keep(pass: Pass) -> anyhow::Result<()> {
     let pass = Arc::new(pass);
     let mut waiting: HashMap<CommandId, Waiting> = HashMap::new();
+    let mut late: HashMap<CommandId, Waiting> = HashMap::new();
     loop {
-        pass.amend().await?;
+        pass.amend(&mut late).await?;
         // Frames that fail stay; they must not hide the ones behind them.
         let failing = waiting.values().filter(|waiting| waiting.failures > 0).count();
         let images = pass.look(failing).await?;
         if images.is_empty() {
             waiting.clear();
-            pass.node.alerts.clear(AlertKind::ArchiveHeaders, "");
-            pass.incomplete.notified().await;
+            if late.is_empty() {
+                pass.node.alerts.clear(AlertKind::ArchiveHeaders, "");
+                pass.incomplete.notified().await;
+            } else {
+                let _ = tokio::time::timeout(FIRST_WAIT, pass.incomplete.notified()).await;
+            }
             continue;
         }
         let now = pass.node.bus.clock().machine();
@@ -295,29 +338,47 @@ impl Pass {
         Ok(Outcome::Complete(known.map(|known| known.origin)))
     }
 
-    /// Puts facts that came late into headers that are complete already.
-    async fn amend(&self) -> anyhow::Result<()> {
+    /// Puts facts that came late into headers that are complete already; those that failed wait in `late`.
+    async fn amend(&self, late: &mut HashMap<CommandId, Waiting>) -> anyhow::Result<()> {
         let (database, node) = (self.database.path().to_owned(), self.node.clone());
-        let work = move || -> anyhow::Result<Vec<Write>> {
-            let late = Reader::open(&database, node.config.place.telescope.as_str())?.late_facts(AT_ONCE)?;
-            let completer = Completer::new(&node.config.folders.images);
-            let images = &node.config.folders.images;
-            let amended = late.into_iter().map(|(image, StoredFacts { facts, origin, .. })| {
-                let reached = without_links(images, &image.path).map_err(anyhow::Error::from);
-                let put = reached.and_then(|()| {
-                    completer.recover(&image.path)?;
-                    let plan = measured(&node.header, &facts, &image.frame);
-                    Ok(completer.complete(&image.path, read_header(&image.path)?, &plan)?)
-                });
-                if let Err(error) = &put {
-                    // The facts are in the database; a file that was moved away or changed is left as it is.
-                    tracing::warn!(file = image.file, %error, "late facts could not be put into a header");
-                }
-                Write::FactsTaken { frame: image.frame.id, origin, in_header: put.is_ok() }
-            });
-            Ok(amended.collect())
+        let now = self.node.bus.clock().machine();
+        let not_due: HashSet<CommandId> =
+            late.iter().filter(|(_, waiting)| waiting.not_before > now).map(|(frame, _)| frame.clone()).collect();
+        // Those that fail must not hide the ones behind them.
+        let most = u32::try_from(late.len()).unwrap_or(u32::MAX).saturating_add(AT_ONCE);
+        let work = move || -> anyhow::Result<Vec<(StoredImage, StoredFacts, Option<Late>)>> {
+            let found = Reader::open(&database, node.config.place.telescope.as_str())?.late_facts(most)?;
+            let put = |(image, known): (StoredImage, StoredFacts)| {
+                let is_due = !not_due.contains(&image.frame.id);
+                let put = is_due.then(|| put_late(&node.config.folders.images, &node.header, &image, &known.facts));
+                (image, known, put)
+            };
+            Ok(found.into_iter().map(put).collect())
         };
-        Ok(self.database.commit(tokio::task::spawn_blocking(work).await??).await?)
+        let looked = tokio::task::spawn_blocking(work).await??;
+        let listed: HashSet<CommandId> = looked.iter().map(|(image, ..)| image.frame.id.clone()).collect();
+        late.retain(|frame, _| listed.contains(frame));
+        let mut writes = Vec::new();
+        for (image, StoredFacts { origin, .. }, put) in looked {
+            let frame = image.frame.id.clone();
+            let in_header = match put {
+                None => continue,
+                Some(Late::InHeader) => true,
+                Some(Late::Gone(error)) => {
+                    // The facts are in the database.
+                    tracing::warn!(file = image.file, error, "late facts are in no header: its file is not there");
+                    false
+                }
+                Some(Late::Failed(error)) => {
+                    let fresh = Waiting { since: now, failures: 0, not_before: now };
+                    self.failed(&image, &error, late.entry(frame).or_insert(fresh));
+                    continue;
+                }
+            };
+            late.remove(&frame);
+            writes.push(Write::FactsTaken { frame, origin, in_header });
+        }
+        Ok(self.database.commit(writes).await?)
     }
 
     async fn publish(&self, completed: &[(&StoredImage, &Option<(BootId, u64)>)]) -> anyhow::Result<()> {
@@ -357,3 +418,7 @@ impl Pass {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "pass_tests.rs"]
+mod tests;

@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use bus::MachineTime;
-use config::Observatory;
+use config::{Observatory, Sensor};
 use contract::CommandId;
 use contract::device::camera::{Frame, Purpose};
 use contract::observatory::FrameFacts;
@@ -34,8 +34,6 @@ const COMPARISON_STARS: usize = 12;
 const APART_RADII: f64 = 3.0;
 /// A comparison star has this flux over its error.
 const LEAST_SNR: f64 = 30.0;
-/// A star is taken as saturated from this share of the greatest count on.
-const SATURATED: f64 = 0.9;
 /// How often it is looked for frames, machine time.
 const EVERY: Duration = Duration::from_secs(2);
 /// Frames of so long ago are looked for, sky s: a restart in the night loses none.
@@ -128,7 +126,7 @@ fn measure_next(
         if !tried.is_due(id, now) {
             continue;
         }
-        match measure_frame(&reader, telescope, &config.folders.images, &frame) {
+        match measure_frame(&reader, config, &frame) {
             Ok(fluxes) => {
                 tried.finish(id);
                 if fluxes.is_some() {
@@ -154,42 +152,46 @@ fn series(telescope: &str, frame: &Frame) -> String {
 }
 
 /// The fluxes of a frame; absent where it has no target, no solution or no comparison stars.
-fn measure_frame(
-    reader: &Reader,
-    telescope: &str,
-    images: &Path,
-    frame: &NightFrame,
-) -> anyhow::Result<Option<StoredFluxes>> {
+fn measure_frame(reader: &Reader, config: &Observatory, frame: &NightFrame) -> anyhow::Result<Option<StoredFluxes>> {
     let Some(facts) = &frame.facts else { return Ok(None) };
-    let series = series(telescope, &frame.image.frame);
-    without_links(images, &frame.image.path).context("the file is not where it was written")?;
+    let images = &config.folders.images;
+    let series = series(config.place.telescope.as_str(), &frame.image.frame);
+    let path = frame.image.path(images);
+    without_links(images, &path).context("the file is not where it was written")?;
     let known = reader.series_stars(&series)?;
-    let image = fits::read(&frame.image.path)?;
+    let image = fits::read(&path)?;
     let pixels = match &image.pixels {
         fits::Pixels::U16(counts) => Pixels::U16(counts),
         fits::Pixels::F32(floats) => Pixels::F32(floats),
     };
     let pixels = imaging::Frame::new(image.width_px, image.height_px, pixels)?;
-    Ok(measure(&pixels, &frame.image.frame, facts, known, series))
+    let sensor = Sensor::of(config, &frame.image.frame);
+    Ok(measure(&pixels, &frame.image.frame, sensor, facts, known, series))
 }
 
 /// The fluxes of the stars of a series on a frame; the stars of a series that has none are chosen.
 fn measure(
     pixels: &imaging::Frame,
     frame: &Frame,
+    sensor: Sensor,
     facts: &FrameFacts,
     known: Vec<[f64; 2]>,
     series: String,
 ) -> Option<StoredFluxes> {
     let (solution, fwhm_px) = (wcs(facts.wcs.as_ref()?), facts.fwhm_px.filter(|fwhm| *fwhm > 0.0)?);
-    let reading = |name: &str| frame.readings.get(name).and_then(|reading| reading.value()?.number());
-    let gain = reading("ElectronsPerADU").filter(|gain| *gain > 0.0).unwrap_or(1.0);
-    let limit_adu = SATURATED * reading("MaxADU").filter(|most| *most > 0.0).unwrap_or(65_535.0);
+    let gain = sensor.electrons_per_adu.unwrap_or(1.0);
+    let camera = Camera {
+        max_adu: sensor.max_adu.map(|adu| adu as f32),
+        saturation_adu: sensor.saturation_adu.map(|adu| adu as f32),
+        gain_e_per_adu: gain as f32,
+        ..Camera::default()
+    };
+    let limit_adu = f64::from(camera.saturation_adu(pixels));
     let is_new = known.is_empty();
     let mut stars = if is_new {
         let target = [frame.purpose.ra_deg?, frame.purpose.dec_deg?];
         let at = solution.sky_to_pixel(Angle::from_degrees(target[0]), Angle::from_degrees(target[1]))?;
-        let others = comparison_stars(pixels, (gain, limit_adu), at, fwhm_px);
+        let others = comparison_stars(pixels, &camera, at, fwhm_px);
         let sky = |(x, y): (f64, f64)| {
             let (ra, dec) = solution.pixel_to_sky(x, y);
             [ra.degrees(), dec.degrees()]
@@ -224,16 +226,9 @@ fn measure(
 }
 
 /// The places of the brightest stars that are good to compare with, px.
-fn comparison_stars(
-    pixels: &imaging::Frame,
-    (gain, limit_adu): (f64, f64),
-    target: (f64, f64),
-    fwhm_px: f64,
-) -> Vec<(f64, f64)> {
-    let max_adu = limit_adu / SATURATED;
-    let camera = Camera { max_adu: Some(max_adu as f32), gain_e_per_adu: gain as f32, ..Camera::default() };
+fn comparison_stars(pixels: &imaging::Frame, camera: &Camera, target: (f64, f64), fwhm_px: f64) -> Vec<(f64, f64)> {
     let search = StarSearch { fwhm_px: Some(fwhm_px as f32), ..StarSearch::default() };
-    let Ok(measured) = imaging::measure(pixels, &camera, &search) else { return Vec::new() };
+    let Ok(measured) = imaging::measure(pixels, camera, &search) else { return Vec::new() };
     let (apart, margin) = (APART_RADII * aperture::circle_px(fwhm_px), 2.0 * aperture::margin_px(fwhm_px));
     let mut chosen: Vec<(f64, f64)> = Vec::new();
     for star in measured.stars.iter().filter(|star| star.flags.none() && star.snr >= LEAST_SNR) {

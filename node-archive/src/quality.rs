@@ -54,6 +54,9 @@ pub fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
     KEYWORDS.iter().map(|(keyword, _, comment)| (*keyword, *comment))
 }
 
+/// How the lines of history begin that say why a frame was not measured, was not solved, or does not count.
+const HISTORY: [&str; 3] = ["not measured: ", "not solved: ", "does not count: "];
+
 /// The keyword that guiding makes, which is not in the facts of a frame.
 pub const GUIDED: &str = "GUIDERMS";
 
@@ -74,10 +77,18 @@ pub fn plan(table: &HeaderTable, facts: &FrameFacts) -> Plan {
         };
         Some(Card::new(keyword, value(facts)?, comment))
     };
-    let unsolved = facts.unsolved.iter().map(|unsolved| format!("not solved: {}", unsolved.detail));
-    let refused = facts.refused.iter().map(|why| format!("does not count: {why}"));
-    let history = facts.reason.iter().cloned().chain(unsolved).chain(refused).collect();
-    Plan { cards: KEYWORDS.iter().filter_map(card).collect(), history }
+    let is_own = |keyword: &&str| {
+        table.rows.iter().find(|row| row.keyword == **keyword).is_none_or(|row| row.source == Source::Computed)
+    };
+    let unsolved = facts.unsolved.as_ref().map(|unsolved| &unsolved.detail);
+    let whys = [facts.reason.as_ref(), unsolved, facts.refused.as_ref()];
+    let lines = HISTORY.iter().zip(whys).filter_map(|(begin, why)| Some(format!("{begin}{}", why?)));
+    Plan {
+        cards: KEYWORDS.iter().filter_map(card).collect(),
+        history: lines.collect(),
+        own_history: HISTORY.to_vec(),
+        own_keywords: KEYWORDS.iter().map(|(keyword, ..)| *keyword).filter(is_own).collect(),
+    }
 }
 
 #[cfg(test)]
@@ -150,7 +161,7 @@ mod tests {
     #[test]
     fn a_frame_that_was_not_measured_gives_the_reason() {
         let facts = FrameFacts { reason: Some("not fetched: HTTP 404".to_owned()), ..FrameFacts::default() };
-        assert_eq!(plan(&HeaderTable::default(), &facts).history, ["not fetched: HTTP 404"]);
+        assert_eq!(plan(&HeaderTable::default(), &facts).history, ["not measured: not fetched: HTTP 404"]);
         let unsolved = Unsolved { class: UnsolvedClass::Clouds, detail: "clouds: 3 stars".to_owned() };
         let facts = FrameFacts { unsolved: Some(unsolved), ..FrameFacts::default() };
         let plan = plan(&HeaderTable::default(), &facts);

@@ -25,7 +25,7 @@ use crate::database::{DatabaseError, StoredFacts, StoredImage, read_only, stamp}
 use crate::night::NightFrame;
 
 /// What [`image`] reads, and whether the header is complete.
-const IMAGES: &str = "SELECT file, frame, filename, bytes, stored, complete_hdr FROM images";
+const IMAGES: &str = "SELECT file, frame, bytes, stored, complete_hdr FROM images";
 /// Steps of SQLite's machine between two looks at the clock: some 0.1 ms.
 const STEPS_BETWEEN_LOOKS: i32 = 10_000;
 
@@ -147,10 +147,12 @@ impl Reader {
         from: Utc,
         to: Utc,
     ) -> Result<BTreeMap<String, Vec<f64>>, DatabaseError> {
-        let sql = "SELECT camera_name, error_px FROM guiding
-                   WHERE datetime >= ?1 AND datetime <= ?2 AND telescope = ?3 AND error_px IS NOT NULL";
-        let errors: Vec<(String, f64)> =
-            self.list(sql, params![stamp(from), stamp(to), telescope], |row| Ok((row.get(0)?, row.get(1)?)))?;
+        let sql = "SELECT camera_name, shift_x, shift_y FROM guiding WHERE datetime >= ?1 AND datetime <= ?2
+                   AND telescope = ?3 AND shift_x IS NOT NULL AND shift_y IS NOT NULL";
+        let errors = self.list(sql, params![stamp(from), stamp(to), telescope], |row| {
+            let (x_px, y_px): (f64, f64) = (row.get(1)?, row.get(2)?);
+            Ok((row.get::<_, String>(0)?, x_px.hypot(y_px)))
+        })?;
         let mut errors_px = BTreeMap::<String, Vec<f64>>::new();
         for (camera, error_px) in errors {
             errors_px.entry(camera).or_default().push(error_px);
@@ -212,7 +214,7 @@ impl Reader {
         let sql =
             format!("{IMAGES} WHERE date_obs >= ?1 AND date_obs < ?2 AND telescope IN (?3, '') ORDER BY date_obs");
         let of = params![stamp(from), stamp(to), self.telescope];
-        let images = self.readable(("the frame", &sql), of, unreadable, |row| Ok((image(row)?, row.get(5)?)))?;
+        let images = self.readable(("the frame", &sql), of, unreadable, |row| Ok((image(row)?, row.get(4)?)))?;
         let mut frames = Vec::with_capacity(images.len());
         for (image, is_complete) in images {
             let facts = match self.facts(&image.frame.id) {
@@ -356,9 +358,8 @@ fn is_unreadable(error: &rusqlite::Error) -> bool {
 }
 
 fn image(row: &Row<'_>) -> rusqlite::Result<StoredImage> {
-    let (path, bytes): (String, i64) = (row.get(2)?, row.get(3)?);
-    let (file, stored) = (row.get(0)?, time(row, 4)?);
-    Ok(StoredImage { frame: json(row, 1)?, path: path.into(), file, bytes: bytes.unsigned_abs(), stored })
+    let bytes: i64 = row.get(2)?;
+    Ok(StoredImage { file: row.get(0)?, frame: json(row, 1)?, bytes: bytes.unsigned_abs(), stored: time(row, 3)? })
 }
 
 fn json<T: DeserializeOwned>(row: &Row<'_>, column: usize) -> rusqlite::Result<T> {

@@ -8,7 +8,8 @@ use std::io::{self, Read, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use config::Observatory;
+use config::header::{HeaderTable, Source};
+use config::{Observatory, Place};
 use contract::CommandId;
 use contract::device::camera::{Frame, Pixel, Purpose};
 use node::Node;
@@ -17,10 +18,12 @@ use tokio::sync::{Notify, watch};
 use units::{Angle, Utc};
 
 use crate::astronomy;
+use crate::card::{Card, CardValue};
 use crate::database::{Database, StoredImage, Write};
 use crate::delivery::hash::hex;
 use crate::fits::Shape;
 use crate::folder::{PART_FOLDER, relative_text as relative};
+use crate::header::with_names;
 use crate::name::COMPRESSED;
 use crate::reader::Reader;
 use crate::stored_header::Header;
@@ -89,28 +92,43 @@ pub async fn keep(
             Files::new()
         }));
         found.send_replace(Some(files.clone()));
-        let mut recorded = 0;
+        let (mut recorded, mut left_out, mut example) = (0, 0, None);
         for (id, path) in files.iter() {
-            let (config, id, path, file) = (node.config.clone(), id.clone(), path.clone(), database.path().to_owned());
-            let work = move || -> anyhow::Result<Option<(StoredImage, bool)>> {
+            let (node, id, path, file) = (node.clone(), id.clone(), path.clone(), database.path().to_owned());
+            let name = path.clone();
+            let images = node.config.folders.images.clone();
+            let work = move || -> anyhow::Result<Look> {
+                let config = &node.config;
                 // A copy of a file that is known has another name and the same frame.
                 if Reader::open(&file, config.place.telescope.as_str())?.image(&id)?.is_some() {
-                    return Ok(None);
+                    return Ok(Look::Known);
                 }
-                let Some(image) = read(&config.folders.images, &path)? else { return Ok(None) };
-                Ok(image.row(&config, id, path))
+                let row =
+                    read(&config.folders.images, &path)?.and_then(|image| image.row(config, &node.header, id, path));
+                Ok(row.map_or(Look::NotOurs, |(image, is_complete)| Look::Ours(Box::new(image), is_complete)))
             };
             match tokio::task::spawn_blocking(work).await? {
-                Ok(Some((image, is_complete))) => {
+                Ok(Look::Ours(image, is_complete)) => {
                     let id = image.frame.id.clone();
-                    let mut writes = vec![Write::Stored(Box::new(image))];
+                    let path = image.path(&images);
+                    let mut writes = vec![Write::Stored(image, path)];
                     writes.extend(is_complete.then_some(Write::Complete(id)));
                     database.commit(writes).await?;
                     recorded += 1;
                 }
-                Ok(None) => {}
+                Ok(Look::Known) => {}
+                Ok(Look::NotOurs) => {
+                    left_out += 1;
+                    example.get_or_insert(name);
+                }
                 Err(error) => tracing::warn!(error = format!("{error:#}"), "a file is not recorded"),
             }
+        }
+        if let Some(example) = example {
+            tracing::info!(
+                files = left_out, example = %example.display(),
+                "frames in the folder of images are not in the database and not recorded: by TELESCOP and INSTRUME they are of no camera here"
+            );
         }
         if recorded > 0 {
             tracing::warn!(
@@ -142,6 +160,15 @@ fn unknown(images: &Path, database: &Path, telescope: &str) -> anyhow::Result<Fi
     Ok(files)
 }
 
+/// What a file proves to be.
+enum Look {
+    /// The database has its frame under another name.
+    Known,
+    /// A frame of this telescope, and whether its header is complete.
+    Ours(Box<StoredImage>, bool),
+    NotOurs,
+}
+
 /// The facts of a file's header about its frame.
 struct Found {
     header: Header,
@@ -152,27 +179,47 @@ struct Found {
 }
 
 impl Found {
+    /// Whether a keyword has the text that this site's table has for it.
+    fn has(&self, table: &HeaderTable, keyword: &str, place: &Place, camera: &str) -> bool {
+        let source = table.rows.iter().find(|row| row.keyword == keyword).map(|row| &row.source);
+        let Some(Source::Static(text)) = source else { return false };
+        let written = Card::new(keyword, CardValue::Text(with_names(text, place, camera)), "").record();
+        let is_written = |record: String| self.header.cards().any(|card| card.starts_with(record.trim_end()));
+        !text.is_empty() && written.is_some_and(is_written)
+    }
+
     /// The row of this telescope's frame, and whether its header is complete; `None` for a frame of another telescope.
-    fn row(self, config: &Observatory, id: CommandId, path: PathBuf) -> Option<(StoredImage, bool)> {
+    fn row(
+        self,
+        config: &Observatory,
+        table: &HeaderTable,
+        id: CommandId,
+        path: PathBuf,
+    ) -> Option<(StoredImage, bool)> {
         let text = |keyword: &str| self.header.value(keyword).filter(|text| !text.is_empty());
         // JSON has no other numbers, and one frame that cannot be read back would hide all others.
         let number = |keyword: &str| text(keyword)?.parse::<f64>().ok().filter(|number| number.is_finite());
         let time = |keyword: &str| format!("{}Z", text(keyword)?.trim_end_matches('Z')).parse::<Utc>().ok();
         let place = &config.place;
         let telescope = text("TELESCOP");
-        let is_own = |name: &String| name == place.telescope.as_str() || *name == place.telescope_in_network();
+        let is_own = |name: &String| {
+            name == place.telescope.as_str()
+                || *name == place.telescope_in_network()
+                || config.camera.iter().any(|camera| self.has(table, "TELESCOP", place, camera.common.name.as_str()))
+        };
         if telescope.as_ref().is_some_and(|telescope| !is_own(telescope)) {
             return None;
         }
         let instrument = text("INSTRUME");
         let is_named = |name: &str| {
             instrument.as_ref().is_some_and(|given| given == name || *given == place.camera_in_network(name))
+                || self.has(table, "INSTRUME", place, name)
         };
-        let named = config.camera.iter().find(|camera| is_named(camera.common.name.as_str()));
-        let camera = match (named, config.camera.as_slice()) {
-            (Some(camera), _) => camera,
-            // A site's own table may write something else under INSTRUME.
-            (None, [only]) if telescope.is_some() => only,
+        let mut named = config.camera.iter().filter(|camera| is_named(camera.common.name.as_str()));
+        let camera = match (named.next(), named.next(), config.camera.as_slice()) {
+            (Some(camera), None, _) => camera,
+            // A device or a schedule may have named it.
+            (None, _, [only]) if telescope.is_some() => only,
             _ => return None,
         };
         let started_utc = time("DATE-OBS")?;
@@ -198,7 +245,7 @@ impl Found {
             planes: self.shape.planes,
             pixel: self.shape.pixel,
             bin: number("XBINNING").map_or(1, |bin| bin as u32),
-            origin_px: [0, 0],
+            origin_px: ["XORGSUBF", "YORGSUBF"].map(|first| number(first).map_or(0, |px| px as u32)),
             started_utc,
             exposure_s: number("EXPTIME").unwrap_or_default(),
             url: String::new(),
@@ -212,7 +259,7 @@ impl Found {
             || self.header.cards().any(|card| card.starts_with("HISTORY not known at DATE-OBS"));
         let stored = time("DATE").unwrap_or(started_utc);
         let file = relative(&config.folders.images, &path);
-        Some((StoredImage { frame, path, file, bytes: self.bytes, stored }, is_complete))
+        Some((StoredImage { frame, file, bytes: self.bytes, stored }, is_complete))
     }
 }
 
@@ -308,4 +355,60 @@ fn short(file: &str) -> u64 {
     let mut hasher = DefaultHasher::new();
     file.hash(&mut hasher);
     hasher.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TWO_CAMERAS: &str =
+        "[[camera]]\nname = \"blue\"\nserver = \"h:1\"\n[[camera]]\nname = \"red\"\nserver = \"h:2\"\n";
+
+    /// A file with these names of telescope and camera.
+    fn found(telescope: &str, instrument: &str) -> Found {
+        let text = |keyword: &str, text: &str| Card::new(keyword, text.into(), "a comment").record().unwrap();
+        let number = |keyword: &str, number: i64| Card::new(keyword, CardValue::Int(number), "").record().unwrap();
+        let cards = [
+            Card::new("SIMPLE", true.into(), "").record().unwrap(),
+            number("NAXIS", 2),
+            text("TELESCOP", telescope),
+            text("INSTRUME", instrument),
+            text("DATE-OBS", "2026-11-21T03:00:00.5"),
+            number("XBINNING", 2),
+            number("XORGSUBF", 64),
+            number("YORGSUBF", 32),
+            format!("{:<80}", "END"),
+        ];
+        let header = Header::read_from(format!("{:<2880}", cards.concat()).as_bytes()).unwrap().unwrap();
+        let shape = Shape { pixel: Pixel::U16, width_px: 4, height_px: 2, planes: 1 };
+        Found { header, shape, sha256: String::new(), bytes: 5760 }
+    }
+
+    #[test]
+    fn frames_are_known_by_what_the_sites_own_table_writes_for_telescope_and_camera() {
+        let folder = Path::new("/images");
+        let config = config::parse(&format!("{}{TWO_CAMERAS}", test_support::PARANAL), folder).unwrap();
+        let own = "header,dtype,fixed,device_type,device_command,comment\n\
+                   TELESCOP,str,true,static,SPC O'Neil,\nINSTRUME,str,true,static,Andor {camera},\n";
+        let (own, default): (HeaderTable, _) = (own.parse().unwrap(), HeaderTable::default());
+        let row = |table: &HeaderTable, telescope: &str, instrument: &str| {
+            let path = folder.join("a.fits");
+            found(telescope, instrument)
+                .row(&config, table, CommandId("f".to_owned()), path)
+                .map(|(image, _)| image.frame)
+        };
+        let camera = |table: &HeaderTable, telescope: &str, instrument: &str| {
+            row(table, telescope, instrument).map(|frame| frame.camera)
+        };
+        let named = |name: &str| Some(name.to_owned());
+        assert_eq!(camera(&own, "SPC O'Neil", "Andor red"), named("red"));
+        assert_eq!(camera(&default, "paranal-callisto", "paranal-callisto-blue"), named("blue"));
+        assert_eq!(camera(&own, "callisto", "blue"), named("blue"), "from before the site had a table of its own");
+        for (telescope, instrument) in [("SPC O'Neill", "Andor red"), ("SPC O'Neil", "Andor green"), ("europa", "blue")]
+        {
+            assert_eq!(camera(&own, telescope, instrument), None, "{telescope}, {instrument}");
+        }
+        let frame = row(&own, "SPC O'Neil", "Andor blue").unwrap();
+        assert_eq!((frame.bin, frame.origin_px), (2, [64, 32]));
+    }
 }

@@ -37,7 +37,8 @@ pub async fn keep(node: Node, database: Database, incomplete: Arc<Notify>) -> an
         let look = move || Reader::open(&file, telescope.as_str())?.frames(night.from, night.to);
         let frames = tokio::task::spawn_blocking(look).await??;
         // Files that were delivered and removed are complete for ever.
-        let here = frames.into_iter().map(|frame| frame.image).filter(|image| image.path.exists());
+        let images = &node.config.folders.images;
+        let here = frames.into_iter().map(|frame| frame.image).filter(|image| image.path(images).exists());
         let writes: Vec<Write> = here.map(|image| Write::Recomplete(image.frame.id)).collect();
         tracing::info!(from = order.from, night = %night.date, frames = writes.len(), "headers are completed again");
         database.commit(writes).await?;

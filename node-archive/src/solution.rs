@@ -18,9 +18,23 @@ use crate::plan::Plan;
 /// Keywords of the frame of coordinates, which a table may list as well: RA and DEC have the same one.
 const FRAME: [&str; 2] = ["RADESYS", "EQUINOX"];
 
+/// The begin of the line of history about a solution that is not written.
+const LEFT_OUT: &str = "plate solution left out";
+
 /// The keywords that the solution of a frame adds to its header; none where there is no solution.
 pub fn plan(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
-    let Some(solution) = &facts.wcs else { return Plan::default() };
+    let row = |keyword: &str| table.rows.iter().find(|row| row.keyword == keyword);
+    // RADESYS is in every header.
+    let is_own = |keyword: &&str| match row(keyword) {
+        None => *keyword != "RADESYS",
+        Some(row) => row.source == Source::Computed && !FRAME.contains(keyword),
+    };
+    let mut plan = Plan {
+        own_history: vec![LEFT_OUT],
+        own_keywords: PLAIN.into_iter().filter(is_own).collect(),
+        ..Plan::default()
+    };
+    let Some(solution) = &facts.wcs else { return plan };
     let (width, height) = (frame.width_px as usize, frame.height_px as usize);
     let mut cards: Vec<Card> = wcs(solution).cards(width, height).iter().map(card).collect();
     if solution.sip.is_none() {
@@ -30,14 +44,13 @@ pub fn plan(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
         }));
     }
     cards.push(Card::new("EQUINOX", CardValue::Float(2000.0), "equinox of CRVAL1 and CRVAL2"));
-    let row = |keyword: &str| table.rows.iter().find(|row| row.keyword == keyword);
     cards.retain(|card| !(FRAME.contains(&card.keyword.as_str()) && row(&card.keyword).is_some()));
     let taken = cards.iter().find(|card| row(&card.keyword).is_some_and(|row| row.source != Source::Computed));
     if let Some(taken) = taken {
-        let note = format!("plate solution left out: the header table takes {} from elsewhere", taken.keyword);
-        return Plan { cards: Vec::new(), history: vec![note] };
+        plan.history.push(format!("{LEFT_OUT}: the header table takes {} from elsewhere", taken.keyword));
+        return plan;
     }
-    Plan { cards, history: Vec::new() }
+    Plan { cards, ..plan }
 }
 
 /// Frames of a series have one form: one on which no distortion was seen has a polynomial without terms.
@@ -67,11 +80,12 @@ fn is_distortion(keyword: &str) -> bool {
     matches!(polynomial, "A" | "B" | "AP" | "BP") && (is_term || matches!(term, "ORDER" | "DMAX"))
 }
 
-/// Whether a keyword of a stored header stays when these cards are put in: a frame that was solved anew, without
-/// distortion or with another, keeps no term of the solution before.
-pub fn stays(keyword: &str, cards: &[Card]) -> bool {
-    let is_solved = cards.iter().any(|card| card.keyword == "CTYPE1");
-    !(is_solved && is_distortion(keyword)) || cards.iter().any(|card| card.keyword == keyword)
+/// Whether a keyword of a stored header stays when a plan is put in: a frame that was solved anew, without
+/// distortion or with another, or is not solved any more, keeps no term of the solution before.
+pub fn stays(keyword: &str, plan: &Plan) -> bool {
+    let is_own = |keyword: &str| plan.own_keywords.contains(&keyword);
+    let is_renewed = is_own(keyword) || (is_own("CTYPE1") && is_distortion(keyword));
+    !is_renewed || plan.cards.iter().any(|card| card.keyword == keyword)
 }
 
 /// The solution as the imaging crate computes with it.
@@ -179,15 +193,21 @@ mod tests {
     #[test]
     fn a_new_solution_leaves_no_term_of_the_one_before() {
         let sip = Distortion { a: [0.0, 0.0, 0.0, 2e-9, 0.0, 2e-9, 0.0], b: [0.0, 0.0, 0.0, 0.0, 2e-9, 0.0, 2e-9] };
-        let bent = plan(&HeaderTable::default(), &facts(Some(sip)), &frame()).cards;
-        let plain = plan(&HeaderTable::default(), &facts(None), &frame()).cards;
-        assert!(bent.iter().any(|card| is_distortion(&card.keyword)));
-        for card in &bent {
+        let bent = plan(&HeaderTable::default(), &facts(Some(sip)), &frame());
+        let plain = plan(&HeaderTable::default(), &facts(None), &frame());
+        let unsolved = plan(&HeaderTable::default(), &FrameFacts::default(), &frame());
+        assert!(bent.cards.iter().any(|card| is_distortion(&card.keyword)));
+        for card in &bent.cards {
             assert!(stays(&card.keyword, &bent), "{}: the same again", card.keyword);
             let is_term = is_distortion(&card.keyword) && !card.keyword.ends_with("_ORDER");
             assert_eq!(stays(&card.keyword, &plain), !is_term, "{}", card.keyword);
-            assert!(stays(&card.keyword, &[]), "{}: what is no solution takes nothing away", card.keyword);
+            assert!(stays(&card.keyword, &Plan::default()), "{}: nothing is known of a solution", card.keyword);
+            assert!(!stays(&card.keyword, &unsolved), "{}: it is solved no more", card.keyword);
         }
+        assert!(
+            ["RADESYS", "EQUINOX"].iter().all(|keyword| stays(keyword, &unsolved)),
+            "they are about RA and DEC too"
+        );
         for other in ["A_GAIN", "B_12_3", "APERTURE", "AP_", "BP", "FILTER"] {
             assert!(stays(other, &plain), "{other} is no distortion");
         }

@@ -19,13 +19,13 @@ use units::Utc;
 
 use crate::database::{Database, StoredImage, Write};
 use crate::fits::{FitsFile, Shape, is_restored_whole};
-use crate::folder::{self, is_taken, make_way, relative_text, sync_folder, without_links};
+use crate::folder::{self, is_taken, make_way, relative_text, rename_to_free, sync_folder, without_links};
 use crate::header;
 use crate::name::{Namer, compressed, other_than};
 use crate::pairing::pairing;
 use crate::reader::Reader;
 use crate::rebuild::OnDisk;
-use crate::sensor::Sensor;
+use crate::sensor::{Sensor, during};
 use crate::stored_header::Header;
 use crate::telemetry::Newest;
 use crate::turns::Turns;
@@ -184,11 +184,11 @@ impl Store {
         let written = self.node.bus.clock().utc();
         let devices = pairing(&self.node.config, camera, &frame);
         let newest = |kind: Kind, property: &str| {
-            let own = (kind == Kind::Camera).then(|| frame.readings.get(property)?.value().cloned()).flatten();
-            own.or_else(|| self.newest.value(devices.get(&kind)?, property))
+            let newest = || self.newest.value(devices.get(&kind)?, property);
+            if kind == Kind::Camera { during(&frame, property, newest) } else { newest() }
         };
         let place = &self.node.config.place;
-        let sensor = Sensor::of(&self.node.config, &frame.camera);
+        let sensor = Sensor::of(&self.node.config, &frame);
         let cards = header::base(
             &self.node.header,
             &header::HeaderFacts { frame: &frame, place, written, sensor, newest: &newest },
@@ -231,10 +231,11 @@ impl Store {
         let file = relative_text(&images, &path);
         self.database.commit(vec![Write::Writing { frame: frame.id.clone(), file: file.clone() }]).await?;
         let target = path.clone();
-        let rename = move || std::fs::rename(&part, &target).and_then(|()| sync_folder(&target));
+        // Another telescope's archive may have taken the name meanwhile: the next try takes another one.
+        let rename = move || rename_to_free(&part, &target).and_then(|()| sync_folder(&target));
         tokio::task::spawn_blocking(rename).await?.with_context(|| format!("cannot name {}", path.display()))?;
         drop(naming);
-        self.record(StoredImage { frame, path, file, bytes, stored: written }).await
+        self.record(StoredImage { frame, file, bytes, stored: written }).await
     }
 
     /// The row of a frame that is stored already, also of one that was named just before a kill.
@@ -263,9 +264,8 @@ impl Store {
             FrameState::Stored(image) => Ok(Some(*image)),
             FrameState::Not => Ok(None),
             FrameState::Named { file, bytes } => {
-                let path = self.node.config.folders.images.join(&file);
                 let stored = self.node.bus.clock().utc();
-                let image = StoredImage { frame: frame.clone(), path, file, bytes, stored };
+                let image = StoredImage { frame: frame.clone(), file, bytes, stored };
                 self.record(image.clone()).await?;
                 Ok(Some(image))
             }
@@ -277,7 +277,8 @@ impl Store {
         let (file, bytes) = (image.file.clone(), image.bytes);
         // A row that was made from the file alone lacks fields of the announcement.
         let announced = Write::Announced(Box::new(image.frame.clone()));
-        self.database.commit(vec![Write::Stored(Box::new(image)), announced]).await?;
+        let path = image.path(&self.node.config.folders.images);
+        self.database.commit(vec![Write::Stored(Box::new(image), path), announced]).await?;
         let count = self.count.fetch_add(1, Ordering::Relaxed) + 1;
         self.node.figure("frames_stored", Scalar::Int(count));
         tracing::info!(file, camera, "stored");
@@ -340,4 +341,28 @@ fn free_path(images: &Path, relative: &Path, written: Utc) -> anyhow::Result<Pat
     let other = other_than(&path, written);
     tracing::warn!(taken = %path.display(), instead = %other.display(), "a file of this name exists");
     Ok(other)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two telescopes that share a folder of images may choose one name at the same moment.
+    #[test]
+    fn a_name_that_is_taken_between_looking_and_naming_keeps_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let (images, relative) = (folder.path(), Path::new("n/a.fits"));
+        let part = images.join("part");
+        std::fs::write(&part, "ours").unwrap();
+        let first = free_path(images, relative, Utc::EPOCH).unwrap();
+        std::fs::write(&first, "another's").unwrap();
+        let refused = rename_to_free(&part, &first).unwrap_err();
+        assert_eq!(refused.kind(), std::io::ErrorKind::AlreadyExists);
+        let second = free_path(images, relative, Utc::EPOCH).unwrap();
+        assert_ne!(relative_text(images, &second), relative_text(images, &first));
+        rename_to_free(&part, &second).unwrap();
+        let content = |path: &Path| std::fs::read_to_string(path).unwrap();
+        assert_eq!((content(&first).as_str(), content(&second).as_str()), ("another's", "ours"));
+        assert!(!is_taken(&part));
+    }
 }

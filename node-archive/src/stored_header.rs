@@ -108,22 +108,26 @@ impl Header {
         });
     }
 
-    /// Adds a line to the history, unless it stands there.
-    pub fn add_history(&mut self, text: &str) {
-        for part in printable(text).as_bytes().chunks(HISTORY_LENGTH) {
-            let mut card = [b' '; CARD];
-            card[..8].copy_from_slice(b"HISTORY ");
-            card[8..8 + part.len()].copy_from_slice(part);
+    /// Adds lines to the history that do not stand there, and takes out others that begin so.
+    pub fn renew_history(&mut self, begins: &[&str], lines: &[String]) {
+        let wanted: Vec<[u8; CARD]> = lines.iter().flat_map(|line| history(line)).collect();
+        let mut is_own = false;
+        self.cards.retain(|card| {
+            let Some(text) = card.strip_prefix(b"HISTORY ") else {
+                is_own = false;
+                return true;
+            };
+            // Behind a blank the line of the card before goes on.
+            if text[0] != b' ' {
+                is_own = begins.iter().any(|begin| text.starts_with(begin.as_bytes()));
+            }
+            !is_own || wanted.contains(card)
+        });
+        for card in wanted {
             if !self.cards.contains(&card) {
                 self.cards.push(card);
             }
         }
-    }
-
-    /// Takes out the lines of history that begin so.
-    pub fn forget_history(&mut self, begins: &str) {
-        let start = format!("HISTORY {begins}");
-        self.cards.retain(|card| !card.starts_with(start.as_bytes()));
     }
 
     /// Brings CHECKSUM up to date with the DATASUM that stands here; a header without one has no checksum to keep.
@@ -167,9 +171,36 @@ impl Header {
     }
 }
 
+/// The cards of a line of history.
+fn history(line: &str) -> Vec<[u8; CARD]> {
+    fn card(begin: &[u8], part: &[u8]) -> [u8; CARD] {
+        let mut card = [b' '; CARD];
+        for (place, byte) in card.iter_mut().zip(begin.iter().chain(part)) {
+            *place = *byte;
+        }
+        card
+    }
+    let line = printable(line);
+    let (first, rest) = line.as_bytes().split_at(line.len().min(HISTORY_LENGTH));
+    let further = rest.chunks(HISTORY_LENGTH - 1).map(|part| card(b"HISTORY  ", part));
+    std::iter::once(card(b"HISTORY ", first)).chain(further).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_said_no_more_goes_with_all_its_cards_and_what_is_said_again_stays_in_its_place() {
+        let mut header = Header { cards: Vec::new(), blocks: 1, before: Vec::new() };
+        let (why, other) = (format!("not solved: {}", "clouds ".repeat(20)), "made by hand".to_owned());
+        header.renew_history(&[], &[why.clone(), other.clone(), "not solved: 2 stars".to_owned()]);
+        let before = header.clone();
+        header.renew_history(&["not solved: "], &["not solved: 2 stars".to_owned(), why]);
+        assert_eq!(header, before);
+        header.renew_history(&["not solved: "], &[]);
+        assert_eq!(header.cards().collect::<Vec<_>>(), [format!("HISTORY {other}")]);
+    }
 
     #[test]
     fn a_header_grows_by_whole_blocks_and_keeps_its_end_last() {
@@ -178,8 +209,9 @@ mod tests {
             header.set(&Card::new(&format!("K{i}"), crate::card::CardValue::Int(i), ""));
         }
         assert_eq!(header.to_bytes().len(), BLOCK);
-        header.add_history(&"long ".repeat(20));
-        header.add_history(&"long ".repeat(20));
+        let long = ["long ".repeat(20)];
+        header.renew_history(&[], &long);
+        header.renew_history(&[], &long);
         assert_eq!(header.cards().filter(|card| card.starts_with("HISTORY")).count(), 2, "two cards, once");
         let bytes = header.to_bytes();
         assert_eq!(bytes.len(), 3 * BLOCK);

@@ -69,7 +69,12 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
     for alert in shared {
         found.entry(alert.id.clone()).or_insert(alert);
     }
-    let mut alerts: Vec<Alert> = found.into_values().collect();
+    sorted(found.into_values())
+}
+
+/// The most urgent first.
+fn sorted(alerts: impl Iterator<Item = Alert>) -> Vec<Alert> {
+    let mut alerts: Vec<Alert> = alerts.collect();
     alerts.sort_by(|a, b| (a.priority, a.raised_utc, &a.id).cmp(&(b.priority, b.raised_utc, &b.id)));
     alerts
 }
@@ -79,14 +84,14 @@ pub fn stopped(entry: &Entry) -> Option<Stopped> {
     Stopped::deserialize(entry.body.get("stopped")?).ok()
 }
 
-/// Of the alerts that the nodes of a site's shared devices publish, those about these devices.
+/// Of the alerts that the nodes of a site's shared devices publish, those about these devices; the most urgent first.
 pub fn about<'a>(shared: &Telescope, devices: impl Iterator<Item = &'a Name> + Clone) -> Vec<Alert> {
     let is_about = |alert: &Alert| devices.clone().any(|name| alert.id.split('/').any(|part| part == name.as_str()));
     let of = |entry: &Entry| match &entry.key {
         Key::Node(_, _, _, NodeTopic::Alerts) => Alerts::deserialize(entry.body.as_ref()).unwrap_or_default().alerts,
         _ => Vec::new(),
     };
-    shared.states.values().flat_map(of).filter(is_about).collect()
+    sorted(shared.states.values().flat_map(of).filter(is_about))
 }
 
 #[cfg(test)]

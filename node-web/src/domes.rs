@@ -1,4 +1,4 @@
-//! The domes over a telescope by what their own device nodes publish, for the time in which its observatory node is silent.
+//! The domes over a telescope by what their own device nodes publish.
 
 use std::collections::BTreeSet;
 

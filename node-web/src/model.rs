@@ -9,9 +9,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{MachineTime, Received};
-use contract::node::DiaryLine;
+use contract::node::{DiaryLine, NodeState};
 use contract::observatory::FrameFacts;
-use contract::{Address, CommandId, Key, NodeTopic, Stamped};
+use contract::{Address, CommandId, Key, Name, NodeTopic, Role, Stamped};
 use interlock::Succession;
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize, Serializer};
@@ -36,8 +36,10 @@ const LOOK_EVERY: Duration = Duration::from_secs(5);
 /// Keys of one telescope whose payloads could not be decoded; they are reported for a minute.
 const MOST_UNREADABLE: usize = 20;
 const UNREADABLE_FOR: Duration = Duration::from_secs(60);
-/// A telescope or node that has been silent for so long was taken away.
+/// What ended in good order and has been silent for so long was taken away.
 const FORGET_AFTER: Duration = Duration::from_secs(24 * 3600);
+/// What fell silent is a fault for so long.
+const FORGET_SILENT_AFTER: Duration = Duration::from_secs(14 * 24 * 3600);
 /// The memory that the succession of an entry takes at most: it remembers eight incarnations with ids of 128 bytes.
 /// So many announced frames are remembered per telescope, none of which weighs more than this.
 const MOST_FRAMES: usize = 100;
@@ -249,14 +251,10 @@ impl Model {
         }
     }
 
-    /// Drops what has been silent for a day.
+    /// Drops what ended in good order a day ago, and what fell silent two weeks ago; the expected telescope stays.
     pub fn forget(&mut self, now: MachineTime) {
-        self.telescopes.retain(|_, telescope| {
-            let gone = |entry: &Entry| entry.age(now) > FORGET_AFTER;
-            telescope.states.retain(|_, entry| !(matches!(entry.key, Key::Node(..)) && gone(entry)));
-            telescope.weight = telescope.states.values().map(|entry| entry.weight).sum();
-            telescope.states.is_empty() || !telescope.states.values().all(gone)
-        });
+        let expected = self.expected.as_ref();
+        self.telescopes.retain(|address, telescope| !telescope.forget(now) || expected == Some(address));
         self.weight = self.telescopes.values().map(|telescope| telescope.weight).sum();
     }
 
@@ -280,6 +278,34 @@ impl Model {
 }
 
 impl Telescope {
+    /// Drops the nodes that are gone; true where all of the telescope is.
+    fn forget(&mut self, now: MachineTime) -> bool {
+        let node = |entry: &Entry| match &entry.key {
+            Key::Node(_, role, id, NodeTopic::State) => {
+                let ended = NodeState::deserialize(entry.body.as_ref()).is_ok_and(|state| state.ended_well());
+                Some(((*role, id.clone()), (ended, entry.age(now))))
+            }
+            _ => None,
+        };
+        let nodes: BTreeMap<(Role, Name), (bool, Duration)> = self.states.values().filter_map(node).collect();
+        let has_ended = !nodes.is_empty() && nodes.values().all(|(ended, _)| *ended);
+        let after = if has_ended { FORGET_AFTER } else { FORGET_SILENT_AFTER };
+        let is_gone = !self.states.is_empty() && self.states.values().all(|entry| entry.age(now) > after);
+        // The last word of a role says that its silence is no fault: it stays as long as the telescope.
+        let goes_on = |wanted: Role| {
+            nodes.iter().any(|((role, _), (ended, age))| *role == wanted && !ended && *age <= FORGET_AFTER)
+        };
+        self.states.retain(|_, entry| match &entry.key {
+            Key::Node(_, role, id, _) => match nodes.get(&(*role, id.clone())) {
+                Some((true, _)) => entry.age(now) <= FORGET_AFTER || !goes_on(*role),
+                Some((false, _)) | None => entry.age(now) <= FORGET_SILENT_AFTER,
+            },
+            _ => true,
+        });
+        self.weight = self.states.values().map(|entry| entry.weight).sum();
+        is_gone
+    }
+
     /// Forgets the key that has been silent the longest, if one has.
     fn give_way(&mut self, now: MachineTime) -> bool {
         if self.full.is_some_and(|at| now.since(at) < LOOK_EVERY) {
@@ -479,6 +505,68 @@ pub(crate) mod tests {
         let late = "teide/artemis/observatory/night/state";
         assert!(!network.accept(received(late, "b", 0, 30, json!({}))), "all others were received a moment ago");
         assert!(network.accept(received(late, "b", 0, 90, json!({}))), "what has fallen silent gives way");
+    }
+
+    const HOUR_S: u64 = 3600;
+
+    /// The keys that are left of a network, so many hours after these nodes of `paranal/io` published their last state: each with
+    /// the hour in which it did, and how it was stopped.
+    fn left_of(nodes: &[(&str, u64, Value)], hours: u64) -> Vec<String> {
+        let mut model = Model::new(Address::new("paranal", "callisto").unwrap());
+        for (node, hour, stopped) in nodes {
+            let state = json!({ "role": "device", "version": "", "host": "pc", "pid": 1, "uptime_s": 1.0, "speed": 1.0,
+                "stopped": stopped });
+            for (topic, body) in [("state", state), ("alerts", json!({ "alerts": [] }))] {
+                assert!(model.accept(received(
+                    &format!("paranal/io/node/{node}/{topic}"),
+                    "b",
+                    0,
+                    hour * HOUR_S,
+                    body
+                )));
+            }
+        }
+        assert!(model.accept(received("paranal/io/observatory/night/state", "b", 0, 0, json!({}))));
+        model.forget(MachineTime::from_boot(Duration::from_secs(hours * HOUR_S)));
+        assert!(model.telescopes.contains_key(&Address::new("paranal", "callisto").unwrap()), "it is expected");
+        let weighed: usize = model.telescopes.values().flat_map(|t| t.states.values()).map(|entry| entry.weight).sum();
+        assert_eq!(weighed, model.weight);
+        model.telescopes.values().flat_map(|telescope| telescope.states.keys().cloned()).collect()
+    }
+
+    #[test]
+    fn what_ended_in_good_order_is_forgotten_after_a_day_and_what_fell_silent_after_two_weeks() {
+        let well = || json!({ "by": "starmesh up on pc", "closed": true });
+        let open = || json!({ "by": "starmesh up on pc", "closed": false });
+        for (nodes, hours, left, why) in [
+            (vec![("observatory/main", 0, well()), ("device/main", 0, well())], 23, 5, "not yet a day"),
+            (vec![("observatory/main", 0, well()), ("device/main", 0, well())], 25, 0, "all of it ended"),
+            (vec![("observatory/main", 0, Value::Null), ("device/main", 0, well())], 25, 5, "one fell silent"),
+            (vec![("observatory/main", 0, open())], 25, 3, "it was left open"),
+            (vec![("observatory/main", 0, Value::Null)], 13 * 24, 3, "it fell silent"),
+            (vec![("observatory/main", 0, Value::Null)], 15 * 24, 0, "two weeks ago"),
+            (vec![], 25, 1, "nobody said that it would be silent"),
+            (vec![("device/a", 0, well()), ("device/b", 24, Value::Null)], 25, 3, "one of two nodes was taken away"),
+            (vec![("device/a", 0, Value::Null), ("device/b", 24, Value::Null)], 25, 5, "one of two nodes fell silent"),
+            (vec![("device/a", 0, Value::Null), ("device/b", 360, Value::Null)], 361, 3, "two weeks ago"),
+            (
+                vec![("observatory/main", 0, well()), ("device/b", 24, Value::Null)],
+                25,
+                5,
+                "its last word is still true",
+            ),
+        ] {
+            let found = left_of(&nodes, hours);
+            assert_eq!(found.len(), left, "{why}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn the_expected_telescope_stays_with_its_alerts() {
+        let mut model = Model::new(Address::new("paranal", "callisto").unwrap());
+        assert!(model.accept(received(NIGHT, "b", 0, 0, json!({}))));
+        model.forget(MachineTime::from_boot(Duration::from_secs(30 * 24 * HOUR_S)));
+        assert_eq!(model.telescopes.values().map(|telescope| telescope.states.len()).sum::<usize>(), 1);
     }
 
     #[test]

@@ -77,7 +77,7 @@ impl Network {
         }
     }
 
-    /// Drops what has been silent for a day.
+    /// Drops what ended in good order a day ago, and what fell silent two weeks ago.
     pub fn forget(&self) {
         self.write().forget(self.clock.machine());
     }
@@ -89,9 +89,9 @@ impl Network {
         match &*cached {
             Some((made, summaries)) if now.since(*made) < SUMMARY_VALID => summaries.clone(),
             _ => {
-                let model = self.read();
-                let made =
-                    model.telescopes.iter().map(|(address, telescope)| Summary::of(&model, address, telescope, now));
+                let (model, utc) = (self.read(), self.clock.utc());
+                let known = model.telescopes.iter();
+                let made = known.map(|(address, telescope)| Summary::of(&model, address, telescope, now, utc));
                 let made = Arc::new(made.collect::<Vec<_>>());
                 *cached = Some((now, made.clone()));
                 made

@@ -47,6 +47,10 @@ pub struct Face {
     /// Where it stands; absent until a mount of its site says so, where this server's file is of another site.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub place: Option<PlaceOnEarth>,
+    /// The date under which frames of now are filed, such as `20261121`: from noon to noon of local mean time, by the sky's
+    /// clock of this server; absent where the place is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub night: Option<String>,
     /// Not a telescope but the devices that a site's telescopes share.
     pub shared: bool,
     /// Quality of the observatory node's payloads.
@@ -187,6 +191,17 @@ pub enum SafetyWord {
     Unknown,
 }
 
+impl SafetyWord {
+    /// Its word, the same as in JSON.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Safe => "safe",
+            Self::Unsafe => "unsafe",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
 /// How a telescope is run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -270,9 +285,22 @@ const FACTS_OF_NOW: Duration = Duration::from_secs(1800);
 /// An opening that the sky does not allow is given so long to end before it is critical, machine seconds.
 const GRACE_S: f64 = 30.0;
 
+impl Face {
+    /// Of the alerts of what a site shares, those that stand at none of its telescopes here: what is told of a telescope is
+    /// not told again.
+    pub fn alerts_beside<'a>(&self, faces: impl Iterator<Item = &'a Self> + Clone) -> Vec<Alert> {
+        let is_told = |alert: &Alert| {
+            let mut telescopes = faces.clone().filter(|face| face.site_id == self.site_id && !face.shared);
+            let is_same = |told: &Alert| told.cause == alert.cause && told.raised_utc == alert.raised_utc;
+            telescopes.any(|face| face.alerts.iter().any(is_same))
+        };
+        self.alerts.iter().filter(|alert| !is_told(alert)).cloned().collect()
+    }
+}
+
 impl Summary {
-    /// Sums up what is known now.
-    pub fn of(model: &Model, address: &Address, telescope: &Telescope, now: MachineTime) -> Self {
+    /// Sums up what is known now; `utc` is sky time.
+    pub fn of(model: &Model, address: &Address, telescope: &Telescope, now: MachineTime, utc: Utc) -> Self {
         let shared = address.telescope.as_str() == Address::SHARED;
         let part = |part| Key::Observatory(address.clone(), part);
         let night = telescope.read::<NightState>(&part(Part::Night));
@@ -285,10 +313,7 @@ impl Summary {
 
         let fresh_night = night.as_ref().filter(|(entry, _)| entry.quality(now) == Quality::Fresh).map(|(_, n)| n);
         let site = model.telescopes.get(&address.shared()).filter(|_| !shared);
-        let domes = match fresh_night {
-            None if !shared => domes::over(address, telescope, site, now),
-            _ => Vec::new(),
-        };
+        let domes = if shared { Vec::new() } else { domes::over(address, telescope, site, now) };
         let of_domes = Posture::least_closed(domes.iter().map(DomeView::posture));
         let (posture, posture_by) = match (fresh_night, of_domes) {
             (Some(night), _) => (night.posture, Reporter::Observatory),
@@ -308,11 +333,8 @@ impl Summary {
         let nodes = nodes(telescope, now);
         // What the nodes reported last is over, and nothing stands open; a device node that goes on may report that again.
         let is_over = is_stopped_closed && nodes.iter().all(|node| node.state.ended_well());
-        let alerts = if is_over {
-            Vec::new()
-        } else {
-            active(telescope, site.map(|site| about(site, names)).unwrap_or_default(), now)
-        };
+        let of_shared = site.map(|site| about(site, names)).unwrap_or_default();
+        let alerts = if is_over { of_shared } else { active(telescope, of_shared, now) };
         let fresh_safety = safety.as_ref().filter(|(entry, _)| entry.quality(now) == Quality::Fresh).map(|(_, s)| s);
         let schedule = telescope.read::<ScheduleState>(&part(Part::Schedule)).map(|(_, schedule)| schedule);
         let orders = telescope.read::<OperatorOrders>(&part(Part::OperatorOrders)).map(|(_, orders)| orders);
@@ -326,11 +348,13 @@ impl Summary {
             silent_since,
         };
         let image = telescope.image.as_ref();
+        let place = place::of(model, address).map(|(place, _)| place);
         let face = Face {
             id: address.to_string(),
             site_id: address.site.clone(),
             telescope_id: address.telescope.clone(),
-            place: place::of(model, address).map(|(place, _)| PlaceOnEarth::from(&place)),
+            place: place.as_ref().map(PlaceOnEarth::from),
+            night: place.map(|place| sky::night_date(place.longitude_east(), utc).to_string()),
             shared,
             quality,
             concern: match quality {
@@ -347,7 +371,10 @@ impl Summary {
                 Some(stopped) => stopped.text.clone(),
                 None => seen.now(),
             },
-            domes: if is_over { Vec::new() } else { domes.iter().map(DomeView::words).collect() },
+            domes: match fresh_night {
+                None if !is_over => domes.iter().map(DomeView::words).collect(),
+                _ => Vec::new(),
+            },
             mode: match fresh_night.map(|night| night.robotic) {
                 Some(true) => Mode::Robotic,
                 Some(false) => Mode::Manual,
@@ -457,7 +484,11 @@ fn safety_words(state: Option<&(&Entry, SafetyState)>, silent_since: Option<Utc>
         Verdict::Safe => "; its last verdict was safe",
         Verdict::Unsafe => "; its last verdict was unsafe",
     });
-    let why = format!("{}{}", overview::silent(silent_since), last.unwrap_or_default());
+    let without = match silent_since {
+        Some(_) => overview::silent(silent_since),
+        None => "it publishes no verdict any more, so safety is unknown".to_owned(),
+    };
+    let why = format!("{without}{}", last.unwrap_or_default());
     let silent = Unsafe { input: "observatory node".to_owned(), why, clears_in_s: None };
     Safety {
         state: SafetyWord::Unknown,
@@ -553,7 +584,7 @@ mod tests {
         }
         let now = MachineTime::from_boot(std::time::Duration::from_secs(9000));
         let model = network.read();
-        Summary::of(&model, &address, &model.telescopes[&address], now).face
+        Summary::of(&model, &address, &model.telescopes[&address], now, Utc::EPOCH).face
     }
 
     #[test]
@@ -608,11 +639,75 @@ mod tests {
             }
             let now = MachineTime::from_boot(Duration::from_secs(now_s));
             let model = network.read();
-            Summary::of(&model, &address, &model.telescopes[&address], now).face.figures
+            Summary::of(&model, &address, &model.telescopes[&address], now, Utc::EPOCH).face.figures
         };
         assert_eq!(figures(&guiding, 101), Figures { guide_rms_arcsec: Some(0.2), fwhm_arcsec: Some(1.5) });
         let ended = json!({"active": false, "detail": "", "camera": "andor", "rms_px": 0.4});
         assert_eq!(figures(&ended, 101), Figures { guide_rms_arcsec: None, fwhm_arcsec: Some(1.5) });
         assert_eq!(figures(&guiding, 500), Figures::default(), "the observatory node is silent");
+    }
+
+    #[test]
+    fn the_night_is_the_one_under_which_frames_of_now_are_filed() {
+        let night = |longitude_deg: f64, at: &str| {
+            let address = Address::new("paranal", "callisto").unwrap();
+            let file = json!({ "site": "paranal", "telescope": "callisto", "latitude_deg": -24.6, "longitude_deg": longitude_deg,
+                "elevation_m": 2518.0 });
+            let network = Network::new(Clock::machine_clock(), address.clone());
+            let network = network.with_site(serde_json::from_value(file).unwrap());
+            let model = network.read();
+            let now = MachineTime::from_boot(Duration::from_secs(1));
+            Summary::of(&model, &address, &model.telescopes[&address], now, at.parse().unwrap()).face.night
+        };
+        for (longitude_deg, at, date) in [
+            (150.0, "2026-11-21T01:59:59Z", "20261120"),
+            (150.0, "2026-11-21T02:00:00Z", "20261121"),
+            (150.0, "2026-11-21T20:00:00Z", "20261121"),
+            (-150.0, "2026-11-21T21:59:59Z", "20261120"),
+            (-150.0, "2026-11-21T22:00:00Z", "20261121"),
+            (-150.0, "2026-11-22T16:00:00Z", "20261121"),
+        ] {
+            assert_eq!(night(longitude_deg, at).as_deref(), Some(date), "{longitude_deg} {at}");
+        }
+        assert_eq!(long_after(&[]).night, None, "nobody says where it stands");
+    }
+
+    #[test]
+    fn the_alerts_of_a_shared_dome_stand_at_its_telescope_whether_or_not_the_observatory_node_publishes() {
+        let address = Address::new("paranal", "callisto").unwrap();
+        let network = Network::new(Clock::machine_clock(), address.clone());
+        let alert = |id: &str, cause: &str| {
+            json!({ "id": id, "priority": "critical", "raised_utc": "2026-11-21T03:00:00Z", "cause": cause,
+                "consequence": "", "action": "" })
+        };
+        let alerts = [alert("dome-not-closed/roof", "it is half open"), alert("device-lost/station", "it is silent")];
+        let guard: Value =
+            serde_json::from_str(include_str!("../../common/contract/golden/v1/dome.guard.json")).unwrap();
+        let night: Value =
+            serde_json::from_str(include_str!("../../common/contract/golden/v1/observatory.night.json")).unwrap();
+        network.accept(received(
+            "paranal/shared/node/device/enclosure/alerts",
+            "b",
+            0,
+            100,
+            json!({ "alerts": alerts }),
+        ));
+        network.accept(received("paranal/shared/device/dome/roof/guard", "b", 0, 100, guard));
+        let told = |wanted: &Address| {
+            let model = network.read();
+            let now = MachineTime::from_boot(Duration::from_secs(101));
+            let known = model.telescopes.iter();
+            let faces = known.map(|(address, telescope)| Summary::of(&model, address, telescope, now, Utc::EPOCH).face);
+            let faces: Vec<Face> = faces.collect();
+            let face = faces.iter().find(|face| face.id == wanted.to_string()).unwrap();
+            let ids = |alerts: &[Alert]| alerts.iter().map(|alert| alert.id.clone()).collect::<Vec<_>>();
+            (ids(&face.alerts), ids(&face.alerts_beside(faces.iter())), face.domes.len())
+        };
+        let (dome, station) = ("dome-not-closed/roof".to_owned(), "device-lost/station".to_owned());
+        assert_eq!(told(&address), (vec![dome.clone()], vec![], 1), "the observatory node is silent");
+        network.accept(received("paranal/callisto/observatory/night/state", "b", 0, 100, night));
+        assert_eq!(told(&address), (vec![dome.clone()], vec![], 0));
+        let all = vec![station.clone(), dome];
+        assert_eq!(told(&address.shared()), (all, vec![station], 0), "what stands at a telescope is not told again");
     }
 }

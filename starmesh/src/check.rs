@@ -188,7 +188,7 @@ mod tests {
 
     fn at(line: u32, column: u32) -> Finding {
         let (severity, check, what) = (Severity::Error, Check::Schema, String::new());
-        Finding { severity, check, line, column, field: None, what, right: None }
+        Finding { severity, check, line, column, field: None, what, right: None, fix: None }
     }
 
     #[test]

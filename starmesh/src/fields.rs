@@ -107,10 +107,11 @@ pub mod tests {
     #[test]
     fn each_star_is_where_the_shipped_catalogue_has_it_at_any_time() {
         for year in [2000, 2016, 2026, 2040] {
-            let at = format!("{year}-11-27T03:00:00Z").parse().unwrap();
-            let stars = FIELDS.iter().filter(|field| is_star(field.name));
-            let (there, elsewhere): (Vec<_>, Vec<_>) = stars.partition(|star| is_star_of_catalogue(star.place(at), at));
-            assert!(there.len() == 7 && elsewhere.is_empty(), "{year}: {elsewhere:?}");
+            let at: Utc = format!("{year}-11-27T03:00:00Z").parse().unwrap();
+            let stars: Vec<_> = FIELDS.iter().filter(|field| is_star(field.name)).collect();
+            let elsewhere = stars.iter().filter(|star| !is_star_of_catalogue(star.place(at), at));
+            let elsewhere: Vec<&str> = elsewhere.map(|star| star.name).collect();
+            assert!(stars.len() == 7 && elsewhere.is_empty(), "{year}: {elsewhere:?}");
         }
     }
 

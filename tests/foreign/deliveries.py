@@ -53,7 +53,6 @@ class Site:
             shutil.copy(night / name, folder / name)
         shutil.copytree(night / "data", folder / "data", ignore=shutil.ignore_patterns("spool-*"))
         self.images = night / "images"
-        # the files stay where the database knows them
         self.add(f'[folders]\nimages = "{self.images}"\n')
         self.read_frames()
 
@@ -68,7 +67,7 @@ class Site:
         toml = self.folder / "observatory.toml"
         toml.write_text(toml.read_text().replace(str(self.images), str(images)))
         with opened(self.folder / "data/archive.db") as database:
-            database.execute("UPDATE images SET filename = ? || '/' || file, complete_hdr = 0", [str(images)])
+            database.execute("UPDATE images SET complete_hdr = 0")
         self.images = images
 
     def add(self, text: str):

@@ -170,6 +170,128 @@ test("the film of a light curve follows the cursor by whole pieces", TEST, async
   await becomes(async () => (await current()).length, 1);
 });
 
+/** Shows what `useGet` gives for what `window.asks` says: a path, seconds, and options. */
+async function reads(at, path, everyS, options = {}) {
+  await at.evaluate(async (asks) => {
+    const [{ html, render, signal }, { useGet }] = await Promise.all([import("/assets/lib.js"), import("/assets/api.js")]);
+    const Shown = () => {
+      const { data, error, loading, worth } = useGet(...window.asks.value);
+      return html`<output id="read">${JSON.stringify({ data, error: error?.message ?? null, loading, worth })}</output>`;
+    };
+    window.asks = signal(asks);
+    render(html`<${Shown} />`, document.body.appendChild(document.createElement("div")));
+  }, [path, everyS, options]);
+  return async () => JSON.parse(await at.locator("#read").textContent());
+}
+/** Waits until the page has counted so many seconds more. */
+async function counts(seconds) {
+  const tick = () => page.evaluate(() => import("/assets/store.js").then((store) => store.tick.peek()));
+  const until = (await tick()) + seconds;
+  await becomes(tick, (now) => now >= until);
+}
+
+test("an answer that takes longer than its period is shown, and meanwhile it is not asked again", TEST, async () => {
+  await open(`/t/${id}/weather`);
+  const [asked, waiting] = [[], []];
+  let [under, most, isSlow] = [0, 0, true];
+  await page.route(/\/api\/v1\/slow/, async (route) => {
+    asked.push(route.request().url());
+    under += 1;
+    most = Math.max(most, under);
+    if (isSlow) await new Promise((resolve) => { waiting.push(resolve); });
+    under -= 1;
+    await route.fulfill({ json: { of: new URL(route.request().url()).search } });
+  });
+  const read = await reads(page, "/api/v1/slow?a", 1, { keep: true });
+  await becomes(() => asked.length, 1);
+  await counts(4);
+  assert.equal(asked.length, 1, "in four periods");
+  assert.deepEqual(await read(), { data: null, error: null, loading: true, worth: "lost" });
+  isSlow = false;
+  waiting.splice(0).forEach((answer) => answer());
+  await becomes(read, ({ data, loading, worth }) => data?.of === "?a" && !loading && worth === "fresh");
+  await becomes(() => asked.length > 2, true, "it goes on");
+  assert.equal(most, 1);
+  // Another path: what was read stays until its answer has come.
+  isSlow = true;
+  await page.evaluate(() => { window.asks.value = ["/api/v1/slow?b", 1, { keep: true }]; });
+  await becomes(() => asked.at(-1).endsWith("?b"), true);
+  await becomes(read, ({ data, loading }) => data?.of === "?a" && loading);
+  isSlow = false;
+  waiting.splice(0).forEach((answer) => answer());
+  await becomes(async () => (await read()).data.of, "?b");
+  await page.unroute(/\/api\/v1\/slow/);
+});
+
+test("what fails is asked again, later each time; what is not answered at all is an error that says so", TEST, async () => {
+  const other = await newPage(browser, { reducedMotion: "reduce" });
+  await other.clock.install();
+  // A link that comes back lets nothing wait: this one never comes.
+  await other.routeWebSocket(/\/api\/v1\/ws/, () => {});
+  await other.goto(bus.url);
+  await other.locator("body[data-link]").waitFor();
+  let asked = 0;
+  let answer = (route) => route.fulfill({ status: 503, json: { title: "Not now", detail: "Not now." } });
+  await other.route(/\/api\/v1\/failing/, (route) => { asked += 1; return answer(route); });
+  await other.evaluate(() => {
+    const { fetch } = window;
+    window.times = [];
+    window.fetch = (path, options) => { if (path === "/api/v1/failing") window.times.push(performance.now()); return fetch(path, options); };
+  });
+  const read = await reads(other, "/api/v1/failing", 1);
+  await becomes(read, ({ error, loading, worth }) => error === "Not now." && !loading && worth === "lost");
+  // Each pause counts from the error; half a second of it is the step of the page's own clock.
+  const times = await becomes(() => other.evaluate(() => window.times), (all) => all.length >= 3);
+  assert.ok(times[1] - times[0] >= 500 && times[2] - times[1] >= 1500, String(times));
+  answer = () => {};
+  const before = asked;
+  await becomes(() => asked > before, true);
+  await other.clock.fastForward(46_000);
+  await becomes(async () => (await read()).error, "The server has not answered within 45 s.");
+  answer = (route) => route.fulfill({ json: { well: true } });
+  await becomes(read, { data: { well: true }, error: null, loading: false, worth: "stale" });
+  await other.close();
+});
+
+test("a frame that is opened too early, and its pixels, come by themselves", TEST, async () => {
+  await open(`/t/${id}`);
+  const frame = await page.evaluate((telescope) => fetch(`/api/v1/telescopes/${telescope}/frames?image_type=light&limit=150`).then((r) => r.json()).then(({ rows }) => rows[0].found_frame.id), id);
+  const asked = { frame: 0, first: 0 };
+  let is = "absent";
+  let tilesFail = false;
+  await page.route(new RegExp(`/api/.*/frames/${frame}$`), async (route) => {
+    asked.frame += 1;
+    if (is === "absent") return route.fulfill({ status: 404, json: { title: "Not found", detail: "The archive has no such frame." } });
+    const response = await route.fetch();
+    const whole = await response.json();
+    return route.fulfill({ response, json: is === "new" ? { ...whole, facts: null } : { ...whole, facts: { ...whole.facts, stars: 4321 } } });
+  });
+  await page.route(/\/tiles\/\d+\/\d+\/\d+$/, (route) => {
+    const isFirst = route.request().url().endsWith("/tiles/0/0/0");
+    if (isFirst) asked.first += 1;
+    return (isFirst ? asked.first === 1 : tilesFail) ? route.fulfill({ status: 503, json: { title: "Busy", detail: "The archive is busy." } }) : route.fallback();
+  });
+  await page.goto(`${bus.url}/t/${id}/frames/${frame}`);
+  await page.getByText("The archive has no such frame.").waitFor();
+  await becomes(() => asked.frame >= 2, true);
+  is = "new";
+  const stars = page.locator(".stat", { has: page.getByText("Stars", { exact: true }) }).locator("b").first();
+  await becomes(() => stars.textContent(), "—");
+  await page.locator('[data-testid="viewer"]').waitFor();
+  assert.ok(asked.first >= 2, "the pixels were refused once");
+  is = "measured";
+  await becomes(() => stars.textContent(), "4321");
+  tilesFail = true;
+  await page.getByRole("button", { name: "4:1", exact: true }).click();
+  const missing = page.locator('[data-testid="missing-tiles"]');
+  await missing.getByText("The archive is busy.").waitFor();
+  await missing.getByRole("button", { name: "Try again" }).click();
+  await missing.getByText("The archive is busy.").waitFor();
+  tilesFail = false;
+  await missing.waitFor({ state: "detached" });
+  await page.unroute(/\/tiles\/\d+\/\d+\/\d+$/);
+});
+
 test("open tables have no serious finding of axe-core in three themes, and fit a phone", TEST, async () => {
   const found = [];
   for (const [address, name] of [["weather", "Wind"], ["focus", "Size of stars"], ["lightcurve", "Flux"]]) {

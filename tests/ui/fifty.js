@@ -26,14 +26,20 @@ function telescope(n) {
 
 const WEATHER = { link: { is: "connected" }, busy: false, period_s: 5, fields: { wind_mps: 7.4, gust_mps: 9.1, humidity_percent: 31, sky_c: -30.2, air_c: 8.1, rain_mm_per_h: 0 }, readings: {} };
 
-/** Answers for a page: `told` are the summaries by id, `tell(...summaries)` changes some, those in `silent` grow old, `images` are the telescopes whose image was asked for. */
+/**
+ * Answers for a page: `told` are the summaries by id, `tell(...summaries)` changes some, those in `silent` grow old, `images` are the telescopes whose image was asked for.
+ * A socket takes `limits.topics` topics; `topics()` are those that the page has, and `refusals` those that it was refused, in their order.
+ */
 export async function serveFifty(page, count = 50) {
   const told = new Map(Array.from({ length: count }, (_, n) => telescope(n)).map((one) => [one.id, one]));
-  const sockets = new Set();
+  /** Each with its topics. */
+  const sockets = new Map();
   const silent = new Set();
   const images = [];
+  const limits = { topics: 256 };
+  const refusals = [];
   const message = (op, more) => JSON.stringify({ op, at_utc: new Date(Date.parse(UTC) + performance.now()).toISOString(), data: { speed: 1 }, ...more });
-  const send = (text) => { for (const socket of sockets) socket.send(text); };
+  const send = (text) => { for (const socket of sockets.keys()) socket.send(text); };
   const beat = () => send(message("delta", { topic: "net", data: { ages: Object.fromEntries([...told.values()].map((one) => [one.id, { age_s: silent.has(one.id) ? 600 : 0.1, image_age_s: 5, reported_utc: UTC }])) } }));
   const states = (topic) => {
     const [, site, name, ...below] = topic.split("/");
@@ -43,20 +49,28 @@ export async function serveFifty(page, count = 50) {
     return body ? { [key]: { body, at_utc: UTC, age_s: 0.2, period_s: 5 } } : {};
   };
   await page.routeWebSocket(/\/api\/v1\/ws/, (socket) => {
-    sockets.add(socket);
+    const subscribed = new Set();
+    sockets.set(socket, subscribed);
     socket.onClose(() => sockets.delete(socket));
     socket.onMessage((text) => {
       const { op, topics = [] } = JSON.parse(String(text));
       if (op === "ping") return socket.send(message("pong", {}));
+      if (op === "unsub") for (const topic of topics) subscribed.delete(topic);
       if (op !== "sub") return undefined;
       for (const topic of topics) {
+        if (subscribed.size >= limits.topics && !subscribed.has(topic)) {
+          refusals.push(topic);
+          socket.send(message("err", { topic, data: { title: "Invalid", detail: `One socket may have ${limits.topics} topics; end some with unsub, or open another socket.` } }));
+          continue;
+        }
+        subscribed.add(topic);
         if (topic === "net") socket.send(message("snap", { topic, data: { items: Object.fromEntries(told) } }));
         else if (topic.startsWith("tel/")) socket.send(message("snap", { topic, data: { states: states(topic) } }));
         else socket.send(message("snap", { topic, data: topic === "alerts" ? { items: {} } : [] }));
       }
       return undefined;
     });
-    socket.send(message("welcome", { data: { version: "test", speed: 1 } }));
+    socket.send(message("welcome", { data: { version: "test", speed: 1, most_topics: limits.topics } }));
   });
   await page.route(/\/api\/v1\/telescopes\//, (route) => {
     const { pathname } = new URL(route.request().url());
@@ -69,7 +83,7 @@ export async function serveFifty(page, count = 50) {
   });
   const beats = setInterval(beat, 1000);
   return {
-    told, silent, images,
+    told, silent, images, limits, refusals, topics: () => [...sockets.values()].flatMap((subscribed) => [...subscribed]),
     tell: (...summaries) => { for (const one of summaries) told.set(one.id, one); send(message("delta", { topic: "net", data: { items: Object.fromEntries(summaries.map((one) => [one.id, one])) } })); },
     end: () => clearInterval(beats),
   };

@@ -116,6 +116,38 @@ test("by keyboard: the worst comes first, the focus stays where it is when anoth
   await becomes(async () => (await rows()).map(name), shown.map(name).sort());
 });
 
+test("the server takes no more topics: what is opened takes the place of what was left, and what was refused comes when there is room", TEST, async () => {
+  const open = async () => {
+    await page.goto(`${alone.url}/alerts`);
+    await page.locator('body[data-link="live"]').waitFor();
+    await becomes(() => server.topics().includes("alerts"), true);
+    await page.evaluate(async () => {
+      const [{ html, render, signal }, { useTopic }] = await Promise.all([import("/assets/lib.js"), import("/assets/store.js")]);
+      const One = ({ name }) => html`<li data-topic=${name} data-has=${String(useTopic(name) !== null)}></li>`;
+      const All = () => html`<ul>${window.wanted.value.map((name) => html`<${One} key=${name} name=${name} />`)}</ul>`;
+      window.wanted = signal([]);
+      render(html`<${All} />`, document.body.appendChild(document.createElement("div")));
+    });
+  };
+  const want = (names) => page.evaluate((wanted) => { window.wanted.value = wanted; }, names);
+  const has = () => page.locator('[data-topic][data-has="true"]').evaluateAll((all) => all.map((one) => one.dataset.topic));
+  const of = (from, count) => [...server.told.keys()].slice(from, from + count).map((id) => `tel/${id}/device/dome`);
+  await open();
+  const own = server.topics();
+  server.limits.topics = own.length + 8;
+  await open();
+  await want(of(0, 12));
+  await becomes(() => server.refusals.length, 4);
+  const [one, two, three, ...others] = await becomes(has, (all) => all.length === 8);
+  await want(of(0, 12).filter((name) => ![one, two, three].includes(name)));
+  await becomes(async () => (await has()).filter((name) => !others.includes(name)).length, 3, "three have left, and three of those that were refused come");
+  await want(of(20, 8));
+  await becomes(has, of(20, 8), "all that is opened");
+  await becomes(() => server.topics().sort(), [...own, ...of(20, 8)].sort());
+  assert.equal(server.refusals.length, 4, "nothing was asked for without room for it");
+  assert.deepEqual(problems.filter((one) => /topics/.test(one)), []);
+});
+
 test("images that the view hides are not asked for", TEST, async () => {
   await page.locator('[data-testid="tile"] .thumb img').nth(2).waitFor();
   await becomes(() => [...server.images].sort(), [...WORST].sort());

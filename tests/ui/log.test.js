@@ -46,6 +46,27 @@ test("the archive is searched by text, level and node, for one telescope and for
   }
 });
 
+test("what was written while the link was cut and is lost leaves a line in its place, which no condition hides", TEST, async () => {
+  const cut = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 900 } });
+  let says;
+  await cut.routeWebSocket(/\/api\/v1\/ws/, (socket) => {
+    socket.connectToServer().onMessage((text) => socket.send(text));
+    says = (op, data) => socket.send(JSON.stringify({ op, topic: "log?telescope=demo/alpha", data }));
+  });
+  await cut.goto(`${bus.url}/t/demo/alpha/log`);
+  await settled(cut);
+  const texts = () => cut.locator('[data-testid="lines"] li[data-l]').allTextContents();
+  await becomes(texts, (all) => all.length > 1);
+  says("gap", { from: 1, to: 2 });
+  says("event", [{ at_utc: "2026-11-27T23:59:59.000000Z", level: "error", node: "observatory/main", telescope: "demo/alpha", number: 1, message: "the link is back", fields: {} }]);
+  const where = (all) => [/the link is back/, /Lines are missing here; the archive has them\./].map((text) => all.findIndex((line) => text.test(line)));
+  await becomes(texts, (all) => { const [back, hole] = where(all); return back === 0 && hole > back && hole < all.length - 1; }, "above what was known before, below what came then");
+  await cut.getByRole("button", { name: "Error", exact: true }).click();
+  await cut.getByLabel("Search the log").fill("the link is");
+  await becomes(texts, (all) => all.length === 2 && where(all).join() === "0,1", "the line and the hole");
+  await cut.close();
+});
+
 test("a line leads to the lines around it", TEST, async () => {
   await page.goto(`${bus.url}/log`);
   await settled(page);

@@ -78,10 +78,10 @@ test("a card counts its step down in the words of the telescope's page, and tell
   const state = "demo/beta/observatory/night/state";
   const night = (await bus.states())[state];
   const due = (utc) => bus.put({ [state]: { ...night, actions: [{ ...night.actions[0], expected_by_utc: utc }] } });
-  const expected = tile("demo/beta").locator('[data-testid="expected"]');
   for (const [viewport, ahead] of /** @type {const} */ ([[WIDE, /^should end by 09:00:00, in \d h \d+ min$/], [PHONE, /^should end in \d h \d+ min$/]])) {
     await due("2026-11-27T09:00:00.000000Z");
     await open("/", viewport);
+    const expected = tile("demo/beta").locator('[data-testid="expected"]');
     await expected.waitFor();
     await becomes(() => text(expected), (said) => ahead.test(said), "counted down");
     const lines = await expected.evaluate((one) => one.getBoundingClientRect().height / parseFloat(getComputedStyle(one).lineHeight));
@@ -93,7 +93,7 @@ test("a card counts its step down in the words of the telescope's page, and tell
     assert.ok(said.x >= card.x && said.x + said.width <= card.x + card.width && said.y + said.height <= card.y + card.height, `${viewport.width} px: it stays in its card`);
   }
   await bus.put({ [state]: night });
-  await expected.waitFor({ state: "detached" });
+  await tile("demo/beta").locator('[data-testid="expected"]').waitFor({ state: "detached" });
   assert.deepEqual(problems, []);
 });
 

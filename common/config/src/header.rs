@@ -1,5 +1,6 @@
 //! The site's FITS-header table (CSV), which also decides what device nodes poll.
 
+use std::collections::HashSet;
 use std::str::FromStr;
 
 use contract::Kind;
@@ -12,8 +13,10 @@ pub const DEFAULT_CSV: &str = include_str!("default_fits_header.csv");
 /// The table, in file order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeaderTable {
-    /// Its rows.
+    /// Its rows, the first one of each keyword.
     pub rows: Vec<HeaderRow>,
+    /// Keywords of further rows, which are left out.
+    pub repeated: Vec<String>,
 }
 
 /// One keyword.
@@ -74,7 +77,7 @@ const COLUMNS: [&str; 6] = ["header", "dtype", "fixed", "device_type", "device_c
 impl Default for HeaderTable {
     fn default() -> Self {
         // the default rows are part of this crate and proven by a test
-        DEFAULT_CSV.parse().unwrap_or(Self { rows: Vec::new() })
+        DEFAULT_CSV.parse().unwrap_or(Self { rows: Vec::new(), repeated: Vec::new() })
     }
 }
 
@@ -97,7 +100,7 @@ impl FromStr for HeaderTable {
             let found = names.iter().position(|have| have.eq_ignore_ascii_case(name));
             *column = found.ok_or_else(|| at(1, format!("no column {name:?}; expected {}", COLUMNS.join(","))))?;
         }
-        let mut rows = Vec::new();
+        let (mut rows, mut repeated, mut seen) = (Vec::new(), Vec::new(), HashSet::new());
         for record in reader.records() {
             let record =
                 record.map_err(|error| at(error.position().map_or(0, csv::Position::line), error.to_string()))?;
@@ -106,9 +109,14 @@ impl FromStr for HeaderTable {
             if record.iter().all(str::is_empty) {
                 continue;
             }
-            rows.push(row(cell).map_err(|fault| at(line, fault))?);
+            let row = row(cell).map_err(|fault| at(line, fault))?;
+            if seen.insert(row.keyword.clone()) {
+                rows.push(row);
+            } else {
+                repeated.push(row.keyword);
+            }
         }
-        Ok(Self { rows })
+        Ok(Self { rows, repeated })
     }
 }
 
@@ -179,6 +187,17 @@ mod tests {
         assert_eq!(table.rows.len(), DEFAULT_CSV.lines().filter(|line| !line.is_empty()).count() - 1);
         assert_eq!(table.properties(Kind::Camera, false), ["CCDTemperature", "CameraState"]);
         assert!(table.properties(Kind::Telescope, true).contains(&"SiteLatitude".to_owned()));
+    }
+
+    #[test]
+    fn the_first_row_of_a_keyword_counts() {
+        let text = "header,dtype,fixed,device_type,device_command,comment\nA,str,true,static,x,\nB,int,true,static,1,\na,int,false,Dome,Azimuth,\n";
+        let table: HeaderTable = text.parse().unwrap();
+        assert_eq!(table.rows.iter().map(|row| row.keyword.as_str()).collect::<Vec<_>>(), ["A", "B"]);
+        assert_eq!(
+            (table.rows[0].source.clone(), table.repeated),
+            (Source::Static("x".to_owned()), vec!["A".to_owned()])
+        );
     }
 
     #[test]

@@ -45,6 +45,7 @@ mod plausible;
 mod pointing;
 mod read;
 mod relations;
+mod sensor;
 mod slit;
 mod vendor;
 mod visibility;
@@ -78,6 +79,7 @@ pub use observatory::{
     Archive, Bus, ClockSource, FileProfile, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, WindSector,
 };
 pub use pointing::{OnFailure, Pointing};
+pub use sensor::Sensor;
 pub use slit::{Follow, Slit};
 pub use vendor::VendorPattern;
 pub use visibility::{Horizon, HorizonSource, ScheduleCheck};

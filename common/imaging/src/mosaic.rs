@@ -68,15 +68,16 @@ pub fn measure_mosaic(frame: &Frame, camera: &Camera, search: &StarSearch) -> Re
     if let Some(map) = camera.bad_pixels {
         fitting(frame, "bad-pixel map", map.width(), map.height())?;
     }
-    let means = BinnedMeans::new(frame, camera.saturation_adu(frame), camera.bad_pixels);
+    let saturation_adu = camera.saturation_adu(frame);
+    let means = BinnedMeans::new(frame, saturation_adu, camera.bad_pixels);
     let dark = camera.dark.map(|dark| {
         fitting(frame, "dark", dark.width(), dark.height())?;
         Ok(BinnedMeans::new(&dark, f32::INFINITY, None))
     });
     let dark = dark.transpose()?;
-    let whole = matches!(frame.pixels(), Pixels::U16(_));
     let camera = Camera {
-        max_adu: camera.max_adu.or(whole.then_some(f32::from(u16::MAX))),
+        max_adu: camera.max_adu,
+        saturation_adu: Some(saturation_adu),
         // the mean of four has a quarter of the photon noise's square
         gain_e_per_adu: 4.0 * camera.gain_e_per_adu,
         dark: dark.as_ref().map(BinnedMeans::frame).transpose()?,

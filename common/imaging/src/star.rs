@@ -34,7 +34,7 @@ pub struct Star {
 /// What is wrong with a star.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Flags {
-    /// Its peak is at or above 0.9 of the greatest count, or cut off flat: the place is good for plate solving with
+    /// Its peak is at or above the saturation of its camera, or cut off flat: the place is good for plate solving with
     /// less weight, flux and width are not good for anything.
     pub saturated: bool,
     /// Sharper than a star can be (below 0.6 of the median width): a cosmic ray or a cluster of hot pixels.

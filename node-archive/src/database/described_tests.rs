@@ -57,6 +57,44 @@ fn row(connection: &Connection, sql: &str) -> BTreeMap<String, rusqlite::types::
         .unwrap()
 }
 
+/// A guided frame, with the errors that its stars showed, px.
+fn guided(id: &str, at: &str, east: f64, north: f64) -> String {
+    format!(
+        "INSERT INTO guiding (frame_id, datetime, telescope, camera_name, reference, stage, stars, east_why, east_error_px,
+            east_expected_px, east_drift_px_per_s, east_pulse_ms, east_given_ms, north_why, north_error_px, north_expected_px,
+            north_drift_px_per_s, north_pulse_ms, north_given_ms, correction, boot_id, seq)
+         VALUES ('{id}', '2026-11-21 03:{at}', 'callisto', 'guider', 'g', 'guide', 9, '', {east}, 0, 0, 0, 7, '', {north}, 0, 0, 0, -7, '', 'b', 1);"
+    )
+}
+
+#[test]
+fn a_guided_frame_without_a_solution_has_the_newest_scale_of_its_camera_and_binning_or_none() {
+    let mut connection = Connection::open_in_memory().unwrap();
+    migrations::bring_up(&mut connection).unwrap();
+    // Binned in one night, and before and after other optics in others.
+    let solved = [("a", 1, "2025-11-21", "1.0"), ("b", 2, "2025-12-21", "2.5"), ("c", 1, "2026-11-20", "1.25")];
+    let unsolved = [("d", 1), ("e", 2), ("f", 3)].map(|(id, bin)| (id, bin, "2026-11-21", "NULL"));
+    for (id, bin, date, scale) in solved.into_iter().chain(unsolved) {
+        connection
+            .execute_batch(&format!(
+                "INSERT INTO images (filename, camera_name, complete_hdr, date_obs, frame_id, file, sha256, bytes, stored, frame, telescope)
+                    VALUES ('', 'guider', 1, '{date} 03:00:00', '{id}', '{id}.fits', '', 1, '', '{{\"bin\": {bin}}}', 'callisto');
+                 INSERT INTO facts (frame_id, camera_name, telescope, date_obs, scale_arcsec_px, facts, datetime, boot_id, seq, in_header)
+                    VALUES ('{id}', 'guider', 'callisto', '{date} 03:00:00', {scale}, '{{}}', '', '', 1, 1);
+                 {}",
+                guided(id, "00:10.000000", 1.0, 2.0),
+            ))
+            .unwrap();
+    }
+    let mut asked =
+        connection.prepare("SELECT ra_error_arcsec, dec_error_arcsec FROM guiding_errors ORDER BY frame_id").unwrap();
+    let errors = asked.query_map([], |row| Ok((row.get(0)?, row.get(1)?))).unwrap();
+    let errors: Vec<(Option<f64>, Option<f64>)> = errors.map(Result::unwrap).collect();
+    let of_scale = |scale: f64| (Some(scale), Some(2.0 * scale));
+    let expected = [of_scale(1.0), of_scale(2.5), of_scale(1.25), of_scale(1.25), of_scale(2.5), (None, None)];
+    assert_eq!(errors, expected);
+}
+
 /// A frame of 60 s with two guided frames in it and one before, a scale, and a minute of weather.
 #[test]
 fn views_give_angles_on_the_sky_and_times_with_their_zone() {
@@ -64,14 +102,6 @@ fn views_give_angles_on_the_sky_and_times_with_their_zone() {
     let mut connection = Connection::open_in_memory().unwrap();
     migrations::bring_up(&mut connection).unwrap();
     let frame = r#"{"exposure_s": 60.0, "purpose": {"night": "20261120", "object": "TRAPPIST-1", "filter": "r", "image_type": "Light Frame", "programme": "P.1", "row": 4}}"#;
-    let guided = |id: &str, at: &str, east: f64, north: f64| {
-        format!(
-            "INSERT INTO guiding (frame_id, datetime, telescope, camera_name, reference, stage, stars, east_why, east_error_px,
-                east_expected_px, east_drift_px_per_s, east_pulse_ms, east_given_ms, north_why, north_error_px, north_expected_px,
-                north_drift_px_per_s, north_pulse_ms, north_given_ms, correction, boot_id, seq)
-             VALUES ('{id}', '2026-11-21 03:{at}', 'callisto', 'guider', 'g', 'guide', 9, '', {east}, 0, 0, 0, 7, '', {north}, 0, 0, 0, -7, '', 'b', 1);"
-        )
-    };
     connection
         .execute_batch(&format!(
             "INSERT INTO images (filename, camera_name, complete_hdr, date_obs, frame_id, file, sha256, bytes, stored, frame, telescope)

@@ -47,7 +47,7 @@ pub(super) fn write(transaction: &Transaction<'_>, stored: &StoredCorrection) ->
         word(&correction.stage)?,
         correction.dx_px,
         correction.dy_px,
-        correction.error_px,
+        correction.shift_error_px,
         correction.rotation_deg,
         correction.stars,
         correction.fwhm_px,

@@ -3,9 +3,10 @@
 
 use std::path::{Path, PathBuf};
 
-use rusqlite::Connection;
+use rusqlite::{Connection, OpenFlags};
 use rusqlite_migration::{M, Migrations};
 
+use super::whole_file::{self, with_ending};
 use super::{DatabaseError, guiding, happenings, owner, rows, streams, telemetry, views};
 
 /// What each version adds. The number of a version stands in the file as `PRAGMA user_version`. A step that sites have
@@ -68,11 +69,58 @@ pub(super) fn version(connection: &Connection) -> rusqlite::Result<i64> {
     connection.query_row("PRAGMA user_version", [], |row| row.get(0))
 }
 
-/// Copies the whole database to `NAME.version-N`, once: a copy that is there already is older than what this would be.
+/// Copies the whole database to `NAME.version-N`, or to the next name like it that no older copy has. What was copied
+/// already and has not changed is not copied again: a start that fails may be tried often.
 fn keep_copy(connection: &Connection, path: &Path, found: i64) -> Result<PathBuf, DatabaseError> {
-    let copy = super::whole_file::with_ending(path, &format!(".version-{found}"));
-    if !copy.exists() {
-        super::whole_file::copy(connection, &copy)?;
+    let now = last_rows(connection).ok();
+    let is_copy = |copy: &Path| {
+        let opened = Connection::open_with_flags(copy, OpenFlags::SQLITE_OPEN_READ_ONLY);
+        opened.and_then(|copy| last_rows(&copy)).is_ok_and(|rows| Some(rows) == now)
+    };
+    let (mut copy, mut number) = (with_ending(path, &format!(".version-{found}")), 1);
+    while copy.exists() {
+        if is_copy(&copy) {
+            return Ok(copy);
+        }
+        number += 1;
+        copy = with_ending(path, &format!(".version-{found}-{number}"));
     }
+    whole_file::copy(connection, &copy)?;
     Ok(copy)
+}
+
+/// The newest rows of two tables that each version has: a database that was written to has others.
+fn last_rows(connection: &Connection) -> rusqlite::Result<(Option<i64>, Option<i64>)> {
+    let sql = "SELECT (SELECT max(rowid) FROM images), (SELECT max(rowid) FROM log)";
+    connection.query_row(sql, [], |row| Ok((row.get(0)?, row.get(1)?)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_copy_before_a_migration_is_as_the_database_was_and_no_older_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("archive.db");
+        let connection = Connection::open(&path).unwrap();
+        connection.execute_batch(rows::SCHEMA).unwrap();
+        let log = |at: &str| {
+            let put = "INSERT INTO log VALUES (?1, 'INFO', '', 'n', 't', 'callisto', 'b', ?2)";
+            connection.execute(put, (at, at.len() as i64)).unwrap();
+        };
+        let lines = |copy: &Path| {
+            let count = "SELECT count(*) FROM log";
+            Connection::open(copy).unwrap().query_row(count, [], |row| row.get::<_, i64>(0)).unwrap()
+        };
+        let keep = || keep_copy(&connection, &path, 1).unwrap();
+        log("May");
+        let first = keep();
+        assert_eq!((first.clone(), keep()), (folder.path().join("archive.db.version-1"), first.clone()));
+        // An older Starmesh went on with it for months.
+        log("September");
+        let second = keep();
+        assert_eq!((second.clone(), keep()), (folder.path().join("archive.db.version-1-2"), second.clone()));
+        assert_eq!((lines(&first), lines(&second)), (1, 2));
+    }
 }

@@ -43,7 +43,7 @@ CREATE TABLE audit (
 CREATE INDEX audit_date ON audit (datetime);
 ";
 
-/// The addition of version 3. `in_header`: 0 not yet, 1 yes, 2 the file could not be changed.
+/// The addition of version 3. `in_header`: 0 not yet, 1 yes, 2 the file is gone.
 pub(super) const FACTS: &str = "
 CREATE TABLE facts (
     frame_id TEXT PRIMARY KEY, camera_name TEXT, filter TEXT, image_type TEXT, date_obs TEXT,
@@ -163,13 +163,13 @@ pub(super) fn write(
                 .prepare_cached("UPDATE images SET frame = ? WHERE frame_id = ?")?
                 .execute(params![json, frame.id.0])
         }
-        Write::Stored(image) => {
+        Write::Stored(image, path) => {
             let (frame, json) = without_url(&image.frame)?;
             transaction.prepare_cached("DELETE FROM writing WHERE frame_id = ?")?.execute([&frame.id.0])?;
             transaction
                 .prepare_cached("INSERT INTO images VALUES (?,?,0,?,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING")?
                 .execute(params![
-                    image.path.to_string_lossy(),
+                    path.to_string_lossy(),
                     frame.camera,
                     stamp(frame.started_utc),
                     frame.id.0,

@@ -48,13 +48,12 @@ fn image(id: &str, object: &str) -> StoredImage {
         sha256: "ab".to_owned(),
         readings: BTreeMap::new(),
     };
-    StoredImage {
-        frame,
-        path: format!("/images/{id}.fits").into(),
-        file: format!("{id}.fits"),
-        bytes: 5760,
-        stored: at(2),
-    }
+    StoredImage { frame, file: format!("{id}.fits"), bytes: 5760, stored: at(2) }
+}
+
+fn stored(image: StoredImage) -> Write {
+    let path = image.path(Path::new("/images"));
+    Write::Stored(Box::new(image), path)
 }
 
 fn ask(ask: Ask, from: Option<i64>, to: Option<i64>, limit: Option<u32>) -> ArchiveQuestion {
@@ -152,20 +151,17 @@ async fn an_image_is_stored_once_and_completed_once() {
     let (database, _writer) = open(folder.path());
     let named = Write::Writing { frame: CommandId("b".to_owned()), file: "b.fits".to_owned() };
     let image_a = image("a", "Barnard's '); DROP TABLE images; --");
-    database
-        .commit(vec![named, Write::Stored(Box::new(image_a.clone())), Write::Stored(Box::new(image_a.clone()))])
-        .await
-        .unwrap();
+    database.commit(vec![named, stored(image_a.clone()), stored(image_a.clone())]).await.unwrap();
     let reader = Reader::open(database.path(), "callisto").unwrap();
     assert_eq!(reader.writing(&CommandId("b".to_owned())).unwrap().as_deref(), Some("b.fits"));
-    database.commit(vec![Write::Stored(Box::new(image("b", "B")))]).await.unwrap();
+    database.commit(vec![stored(image("b", "B"))]).await.unwrap();
     assert_eq!(reader.writing(&CommandId("b".to_owned())).unwrap(), None);
     let incomplete = reader.incomplete(10).unwrap();
     assert_eq!(incomplete.len(), 2);
     let found = reader.image(&image_a.frame.id).unwrap().unwrap();
     assert_eq!(found.frame.purpose, image_a.frame.purpose);
     assert_eq!(found.frame.url, "", "the token is nobody's business");
-    assert_eq!((found.path, found.bytes, found.stored), (image_a.path, 5760, at(2)));
+    assert_eq!((found.file, found.bytes, found.stored), (image_a.file, 5760, at(2)));
     // A row that was made from the file alone gets the fields of the announcement.
     let mut announced = image_a.frame.clone();
     announced.purpose.metadata.insert("visit".to_owned(), "7".into());
@@ -366,7 +362,7 @@ async fn facts_are_stored_once_and_what_was_measured_never_gives_way_to_a_reason
     assert_eq!(reader.late_facts(10).unwrap(), [], "there is no image of it");
     let mut image = image("frame-1", "x");
     image.frame.url.clear();
-    database.commit(vec![Write::Stored(Box::new(image.clone()))]).await.unwrap();
+    database.commit(vec![stored(image.clone())]).await.unwrap();
     assert_eq!(reader.late_facts(10).unwrap(), [], "its header is not complete yet and takes them then");
     database.commit(vec![Write::Complete(frame.clone())]).await.unwrap();
     assert_eq!(reader.late_facts(10).unwrap(), [(image, better.clone())]);
@@ -438,7 +434,7 @@ async fn a_damaged_database_is_put_aside_and_a_new_one_takes_rows() {
     let path = folder.path().join("deep/archive.db");
     let (database, writer) = open(folder.path());
     let objects = (0..400).map(|number| image(&format!("f{number}"), &"x".repeat(200)));
-    database.commit(objects.map(|image| Write::Stored(Box::new(image))).collect()).await.unwrap();
+    database.commit(objects.map(stored).collect()).await.unwrap();
     drop(database);
     writer.end().await;
     let whole = std::fs::read(&path).unwrap();
@@ -455,7 +451,7 @@ async fn a_damaged_database_is_put_aside_and_a_new_one_takes_rows() {
         std::fs::write(&path, &bytes).unwrap();
         let alerts = NodeAlerts::new(Clock::machine_clock());
         let (database, writer) = Database::open(&path, "callisto", alerts.clone()).unwrap();
-        let written = database.commit(vec![Write::Stored(Box::new(image("new", "M31")))]);
+        let written = database.commit(vec![stored(image("new", "M31"))]);
         tokio::time::timeout(Duration::from_secs(120), written).await.unwrap_or_else(|_| panic!("{what}")).unwrap();
         assert!(
             Reader::open(&path, "callisto").unwrap().image(&CommandId("new".to_owned())).unwrap().is_some(),
@@ -469,7 +465,7 @@ async fn a_damaged_database_is_put_aside_and_a_new_one_takes_rows() {
     // SQLite handles half of a write-ahead log by itself.
     std::fs::write(path.with_file_name("archive.db-wal"), &whole[..5000]).unwrap();
     let (database, writer) = open(folder.path());
-    database.commit(vec![Write::Stored(Box::new(image("newer", "M31")))]).await.unwrap();
+    database.commit(vec![stored(image("newer", "M31"))]).await.unwrap();
     assert!(Reader::open(&path, "callisto").unwrap().image(&CommandId("new".to_owned())).unwrap().is_some());
     drop(database);
     writer.end().await;

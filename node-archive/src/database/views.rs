@@ -20,7 +20,8 @@ macro_rules! root {
 }
 
 /// Replaces the views of another Starmesh. `frames` has a row for each stored frame, `weather` one for each minute of each
-/// station, and `guiding_errors` one for each guided frame. A frame's scale is that of its solution, or the mean of its camera.
+/// station, and `guiding_errors` one for each guided frame. A frame's scale is that of its solution, or
+/// that of the newest solved frame of its camera and binning.
 pub(super) const SCHEMA: &str = concat!(
     "
 DROP VIEW IF EXISTS frames;
@@ -28,16 +29,21 @@ DROP VIEW IF EXISTS weather;
 DROP VIEW IF EXISTS guiding_errors;
 CREATE VIEW guiding_errors AS
     WITH scales AS (
-        SELECT telescope, camera_name, avg(scale_arcsec_px) AS mean_arcsec_px FROM facts
-        WHERE scale_arcsec_px IS NOT NULL GROUP BY telescope, camera_name
+        -- Beside max() SQLite gives the columns of the row that has it.
+        SELECT facts.telescope, facts.camera_name, json_extract(images.frame, '$.bin') AS bin,
+            facts.scale_arcsec_px AS newest_arcsec_px, max(facts.date_obs)
+        FROM facts LEFT JOIN images USING (frame_id) WHERE facts.scale_arcsec_px IS NOT NULL
+        GROUP BY facts.telescope, facts.camera_name, bin
     )
     SELECT guiding.frame_id, guiding.telescope, guiding.camera_name AS camera, guiding.object, guiding.filter,
         CAST(replace(guiding.datetime, ' ', 'T') || 'Z' AS TEXT) AS mid_utc, guiding.stage,
-        CAST(guiding.east_error_px * ifnull(facts.scale_arcsec_px, mean_arcsec_px) AS REAL) AS ra_error_arcsec,
-        CAST(guiding.north_error_px * ifnull(facts.scale_arcsec_px, mean_arcsec_px) AS REAL) AS dec_error_arcsec,
+        CAST(guiding.east_error_px * ifnull(facts.scale_arcsec_px, newest_arcsec_px) AS REAL) AS ra_error_arcsec,
+        CAST(guiding.north_error_px * ifnull(facts.scale_arcsec_px, newest_arcsec_px) AS REAL) AS dec_error_arcsec,
         guiding.east_given_ms AS ra_pulse_ms, guiding.north_given_ms AS dec_pulse_ms, guiding.stars
-    FROM guiding LEFT JOIN facts USING (frame_id)
-        LEFT JOIN scales ON scales.telescope = guiding.telescope AND scales.camera_name = guiding.camera_name;
+    FROM guiding LEFT JOIN facts ON facts.frame_id = guiding.frame_id
+        LEFT JOIN images ON images.frame_id = guiding.frame_id
+        LEFT JOIN scales ON scales.telescope = guiding.telescope AND scales.camera_name = guiding.camera_name
+            AND scales.bin IS json_extract(images.frame, '$.bin');
 CREATE VIEW frames AS
     WITH errors AS (
         SELECT images.frame_id, avg(ra_error_arcsec * ra_error_arcsec) AS ra2, avg(dec_error_arcsec * dec_error_arcsec) AS dec2

@@ -1,6 +1,6 @@
 //! The things that are written into the database.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use bus::Gap;
 use contract::device::camera::Frame;
@@ -63,8 +63,8 @@ pub enum Write {
         /// Path relative to the folder of images.
         file: String,
     },
-    /// A frame's file is safe under its name; a row that is there already stays.
-    Stored(Box<StoredImage>),
+    /// A frame's file is safe under its name, whose whole path on this host is here; a row that is there already stays.
+    Stored(Box<StoredImage>, PathBuf),
     /// The camera node's announcement of a frame whose row exists.
     Announced(Box<Frame>),
     /// A header is complete.
@@ -87,7 +87,7 @@ pub enum Write {
     Alerts(Box<StoredAlerts>),
     /// The fluxes of the stars of a frame.
     Fluxes(Box<StoredFluxes>),
-    /// The facts of a sample are in the header of their frame, or could not be put there.
+    /// The facts of a sample are in the header of their frame, or its file is gone.
     FactsTaken {
         /// Which frame.
         frame: CommandId,
@@ -132,14 +132,19 @@ pub struct StoredRecord {
 pub struct StoredImage {
     /// The frame as the device node announced it.
     pub frame: Frame,
-    /// Absolute path of the file.
-    pub path: PathBuf,
-    /// Path relative to the folder of images, with `/` on every system.
+    /// Path of its file relative to the folder of images, with `/` on every system.
     pub file: String,
     /// Size of the file.
     pub bytes: u64,
     /// Sky time when it was stored.
     pub stored: Utc,
+}
+
+impl StoredImage {
+    /// Where its file is: the folder of images may have moved since it was stored.
+    pub fn path(&self, images: &Path) -> PathBuf {
+        images.join(&self.file)
+    }
 }
 
 /// A correction with the sample that brought it.

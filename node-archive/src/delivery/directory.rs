@@ -13,7 +13,7 @@ use anyhow::{Context as _, bail, ensure};
 use super::hash::hash_from_disk;
 use super::item::{Item, MOST_BYTES, too_large};
 use super::manifest::Held;
-use crate::folder::without_links;
+use crate::folder::{rename_to_free, without_links};
 
 /// Where files are while they are written, inside the telescope's folder of the destination.
 pub const PART_FOLDER: &str = ".starmesh-part";
@@ -201,25 +201,4 @@ fn on_one_file_system(one: &Path, other: &Path) -> anyhow::Result<bool> {
     let device = |path: &Path| fs::metadata(path).map(|found| identity(&found).0);
     let look = || format!("cannot look at {} and {}", one.display(), other.display());
     Ok(device(one).with_context(look)? == device(other).with_context(look)?)
-}
-
-/// Renames a file; a name that is taken is an error.
-fn rename_to_free(part: &Path, target: &Path) -> io::Result<()> {
-    #[cfg(target_os = "linux")]
-    {
-        use rustix::fs::{CWD, RenameFlags, renameat_with};
-        use rustix::io::Errno;
-        match renameat_with(CWD, part, CWD, target, RenameFlags::NOREPLACE) {
-            // Not every network file system knows this flag.
-            Err(Errno::INVAL | Errno::NOSYS | Errno::NOTSUP) => {}
-            done => return done.map_err(io::Error::from),
-        }
-    }
-    match fs::hard_link(part, target) {
-        Ok(()) => fs::remove_file(part),
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Err(error),
-        // Without links there is an instant in which somebody else could take the name.
-        Err(_) if fs::symlink_metadata(target).is_err() => fs::rename(part, target),
-        Err(error) => Err(error),
-    }
 }

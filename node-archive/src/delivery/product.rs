@@ -80,8 +80,7 @@ impl Products {
         let Some(profile) = &self.profile else {
             return Ok(CopyPlan { name: format!("{telescope}/{}", image.file), warnings: Vec::new() });
         };
-        self.check_way(image)?;
-        let CopyPlan { name, warnings } = plan_copy(&image.path, profile, &self.values_of(image))?;
+        let CopyPlan { name, warnings } = plan_copy(&self.path_of(image)?, profile, &self.values_of(image))?;
         Ok(CopyPlan { name: format!("{telescope}/{}/{name}", self.night), warnings })
     }
 
@@ -90,15 +89,15 @@ impl Products {
     /// # Errors
     /// The file cannot be read or copied, or its header was changed meanwhile.
     pub fn make(&self, image: &StoredImage, name: &str, staging: &Path) -> anyhow::Result<Product> {
-        self.check_way(image)?;
-        let cannot = || format!("cannot read {}", image.path.display());
-        let here = hash_file(&image.path).with_context(cannot)?;
+        let path = self.path_of(image)?;
+        let cannot = || format!("cannot read {}", path.display());
+        let here = hash_file(&path).with_context(cannot)?;
         let (file, held) = match &self.profile {
-            None => (image.path.clone(), here.clone()),
+            None => (path.clone(), here.clone()),
             Some(profile) => {
-                let copy = deliver_copy(&image.path, staging, profile, &self.values_of(image))?.path;
+                let copy = deliver_copy(&path, staging, profile, &self.values_of(image))?.path;
                 let held = hash_file(&copy).with_context(|| format!("cannot read {}", copy.display()))?;
-                let again = hash_file(&image.path).with_context(cannot)?;
+                let again = hash_file(&path).with_context(cannot)?;
                 ensure!(here == again, "{}: its header was changed while it was copied; it is tried again", image.file);
                 (copy, held)
             }
@@ -107,8 +106,10 @@ impl Products {
         Ok(Product { item: Item { file, name: name.to_owned(), bytes, sha256 }, archive_sha256: here.sha256 })
     }
 
-    fn check_way(&self, image: &StoredImage) -> anyhow::Result<()> {
-        without_links(&self.images, &image.path).with_context(|| format!("cannot read {}", image.path.display()))
+    fn path_of(&self, image: &StoredImage) -> anyhow::Result<PathBuf> {
+        let path = image.path(&self.images);
+        without_links(&self.images, &path).with_context(|| format!("cannot read {}", path.display()))?;
+        Ok(path)
     }
 
     fn values_of(&self, image: &StoredImage) -> Vec<(String, String)> {

@@ -93,7 +93,10 @@ pub async fn remove(config: &Observatory, night: &Night, database: &Path) -> any
     let frames: Vec<NightFrame> = tokio::task::spawn_blocking(frames).await??;
     for frame in &frames {
         // A kill between the two names leaves the other one.
-        give_back(&frame.image.path)?;
+        let path = frame.image.path(&config.folders.images);
+        if without_links(&config.folders.images, &path).is_ok() {
+            give_back(&path)?;
+        }
     }
     let mut reached = Vec::new();
     for delivery in &config.delivery {
@@ -126,7 +129,8 @@ pub async fn remove(config: &Observatory, night: &Night, database: &Path) -> any
         let camera = &frame.image.frame.camera;
         config.camera.is_empty() || config.camera.iter().any(|own| own.common.name.as_str() == camera)
     };
-    let leaving: Vec<Leaving> = frames.iter().filter(is_own).filter_map(|frame| leaving(frame, &proven)).collect();
+    let leaving: Vec<Leaving> =
+        frames.iter().filter(is_own).filter_map(|frame| leaving(config, frame, &proven)).collect();
     removed.staying = frames.len() - leaving.len();
     for batch in leaving.chunks(BATCH) {
         let mut hidden = Hidden::default();
@@ -141,7 +145,7 @@ pub async fn remove(config: &Observatory, night: &Night, database: &Path) -> any
 }
 
 /// A frame whose file may go; absent where it stays.
-fn leaving(frame: &NightFrame, proven: &[Proven<'_>]) -> Option<Leaving> {
+fn leaving(config: &Observatory, frame: &NightFrame, proven: &[Proven<'_>]) -> Option<Leaving> {
     let wanting = proven.iter().enumerate().filter(|(_, proven)| proven.wanted.takes(frame));
     let mut is_elsewhere = false;
     let mut there = Vec::new();
@@ -150,7 +154,7 @@ fn leaving(frame: &NightFrame, proven: &[Proven<'_>]) -> Option<Leaving> {
         is_elsewhere |= proven.is_elsewhere;
     }
     let archive_sha256 = there.iter().map(|(_, file)| file.of_archive().to_owned()).collect();
-    let path = frame.image.path.clone();
+    let path = frame.image.path(&config.folders.images);
     (is_elsewhere && frame.is_complete).then_some(Leaving { path, archive_sha256, there })
 }
 

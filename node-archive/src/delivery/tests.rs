@@ -95,7 +95,7 @@ impl Site {
             change(&mut frame);
             let bytes = fs::metadata(&path).unwrap().len();
             let stored = at(i64::from(*number) + 2);
-            writes.push(Write::Stored(Box::new(StoredImage { frame, path, file, bytes, stored })));
+            writes.push(Write::Stored(Box::new(StoredImage { frame, file, bytes, stored }), path));
             writes.extend(complete.then_some(Write::Complete(id)));
         }
         let alerts = NodeAlerts::new(Clock::machine_clock());
@@ -322,6 +322,31 @@ async fn files_leave_the_archive_only_for_a_destination_on_another_disk_that_has
     let done = site.deliver().await;
     assert_eq!((done.sent, done.there, done.faults.len()), (0, 2, 0), "{done:?}");
     assert_eq!(site.verify().await.gone_here, 1);
+}
+
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread")]
+async fn a_folder_of_images_that_has_moved_is_exported_delivered_and_removed_where_it_is() {
+    let elsewhere = tempfile::tempdir_in("/dev/shm").unwrap();
+    let folder = elsewhere.path().display();
+    let mut site = Site::new(&format!("[[delivery]]\nname = \"s\"\ndirectory = \"{folder}\"\n"));
+    site.store(&[(1, "light"), (2, "light")], true).await;
+    let old = std::mem::replace(&mut site.config.folders.images, site.folder.path().join("moved"));
+    fs::rename(&old, &site.config.folders.images).unwrap();
+    // An old copy of which nothing is to be taken.
+    fs::create_dir_all(old.join("20261121")).unwrap();
+    fs::write(old.join("20261121/f1.fits"), "old").unwrap();
+    let (out, night, database) = (site.path("out"), site.night(), site.config.archive.database.clone());
+    let config = site.config.clone();
+    let export = move || crate::export::export(&config, &database, &night, &out, at(90_000));
+    let exported = tokio::task::spawn_blocking(export).await.unwrap().unwrap();
+    assert_eq!((exported.frames, exported.gone, exported.bytes), (2, vec![], 2_000_003));
+    let delivered = site.deliver().await;
+    assert_eq!((delivered.sent, delivered.faults.len()), (2, 0), "{delivered:?}");
+    assert_eq!(site.verify().await.same_here, 2);
+    let removed = site.remove().await.unwrap();
+    assert_eq!((removed.files, removed.staying), (2, 0));
+    assert!(!site.image("20261121/f1.fits").exists() && old.join("20261121/f1.fits").exists());
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -82,12 +82,12 @@ pub async fn verify(
     let (here, missing): (Vec<_>, Vec<_>) = selected.images.iter().partition(|image| listed.contains(&image.frame.id));
     verified.missing = missing.into_iter().map(|image| image.file.clone()).collect();
     for image in here {
-        let (path, known) = (image.path.clone(), manifest.file_of(&image.frame.id));
+        let (path, known) = (image.path(&config.folders.images), manifest.file_of(&image.frame.id));
         match tokio::task::spawn_blocking(move || hash_file(&path)).await? {
             Ok(held) if known.is_some_and(|file| file.of_archive() == held.sha256) => verified.same_here += 1,
             Ok(_) => verified.newer_here.push(image.file.clone()),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => verified.gone_here += 1,
-            Err(error) => return Err(error).with_context(|| format!("cannot read {}", image.path.display())),
+            Err(error) => return Err(error).with_context(|| format!("cannot read {}", image.file)),
         }
     }
     Ok(verified)

@@ -58,6 +58,9 @@ fn no_link_below_the_folder_of_images_is_followed() {
     assert!(without_links(&images, &images.join("real/a.fits")).is_ok());
     let error = without_links(&images, &images.join("20261120/a.fits")).unwrap_err().to_string();
     assert!(error.contains("20261120 is a link"), "{error}");
+    for elsewhere in [outside.join("a.fits"), images.join("../outside/a.fits")] {
+        assert!(without_links(&images, &elsewhere).is_err(), "{}", elsewhere.display());
+    }
     // One that leads nowhere is there all the same.
     std::os::unix::fs::symlink(folder.path().join("nowhere"), images.join("real/b.fits")).unwrap();
     assert!(is_taken(&images.join("real/b.fits")) && !images.join("real/b.fits").exists());

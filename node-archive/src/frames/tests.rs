@@ -66,7 +66,7 @@ impl Site {
             let path = self.image(file);
             let bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
             let file = (*file).to_owned();
-            Write::Stored(Box::new(StoredImage { frame: frame(id), path, file, bytes, stored: at(60.0) }))
+            Write::Stored(Box::new(StoredImage { frame: frame(id), file, bytes, stored: at(60.0) }), path)
         };
         database.commit(rows.iter().map(stored).collect()).await.unwrap();
         drop(database);

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use contract::CommandId;
+use contract::datum::ReadingOutcome;
 use contract::device::camera::{Pixel, Purpose};
+use contract::{CommandId, NoData, Reading};
 use serde_json::Value;
 
 use super::*;
@@ -78,7 +79,8 @@ fn complete(
     around: &dyn Fn(Kind, &str) -> Option<Around>,
 ) -> (BTreeMap<String, CardValue>, Vec<String>) {
     let present = BTreeSet::new();
-    let later = Later { frame, place: &place(), mount, holds_s: 60.0, present: &present, around };
+    let (place, holds_s, unknown_before) = (&place(), 60.0, None);
+    let later = Later { frame, place, mount, holds_s, present: &present, unknown_before, around };
     let plan = completion(table, &later).unwrap();
     (plan.cards.into_iter().map(|card| (card.keyword, card.value)).collect(), plan.history)
 }
@@ -466,7 +468,12 @@ fn gain_noise_and_saturation_are_the_drivers_or_the_configurations() {
         // 16 bits hold no more than 65,535, and what is clipped has one percent less or more.
         assert_eq!(cards["SATURATE"], CardValue::Float(64_879.0));
         assert_eq!(unknown_of_sensor(&present(&cards)), ["RDNOISE not known: give read_noise_e of the camera's block"]);
-        let given = Sensor { electrons_per_adu: Some(0.8), read_noise_e: Some(2.5), saturation_adu: Some(50_000.0) };
+        let given = Sensor {
+            electrons_per_adu: Some(0.8),
+            read_noise_e: Some(2.5),
+            saturation_adu: Some(50_000.0),
+            max_adu: None,
+        };
         let cards = with(given, &driver, &table);
         assert_eq!((&cards["GAIN"], &cards["RDNOISE"]), (&CardValue::Float(0.8), &CardValue::Float(2.5)));
         assert_eq!((&cards["SATURATE"], unknown_of_sensor(&present(&cards))), (&CardValue::Float(50_000.0), vec![]));
@@ -548,6 +555,29 @@ fn what_devices_measure_is_written_by_the_default_table_and_states_as_words() {
     }
     let states = ["PIERSIDE", "DOMESTAT", "CAM-STAT", "CAM-STYP"].map(|keyword| cards[keyword].clone());
     assert_eq!(states, ["East", "open", "idle", "monochrome"].map(CardValue::from));
+}
+
+#[test]
+fn a_setting_that_was_not_read_during_the_exposure_is_not_that_of_another_poll() {
+    let table = table(
+        "CAM-GAIN,int,true,Camera,Gain,\nCAM-OFFS,int,true,Camera,Offset,\nREADMODE,int,true,Camera,ReadoutMode,\nCAM-DNAM,str,true,Camera,Name,\n",
+    );
+    let mut frame = frame();
+    let mut lose = |property: &str, no_data| {
+        let outcome = ReadingOutcome::Missing { no_data };
+        let reading = Reading { outcome, at_utc: frame.started_utc, age_s: None };
+        frame.readings.insert(property.to_owned(), reading);
+    };
+    lose("Gain", NoData::new("timeout", "no answer within 2 s"));
+    lose("Offset", NoData::not_implemented());
+    let around = |_: Kind, property: &str| match property {
+        "Name" => polls(Scalar::Text("andor".to_owned()), Scalar::Text("andor".to_owned())),
+        _ => polls(Scalar::Int(120), Scalar::Int(120)),
+    };
+    let (cards, history) = complete(&table, &frame, EquatorialSystem::J2000, &around);
+    assert_eq!(cards["CAM-DNAM"], CardValue::from("andor"));
+    assert!(["CAM-GAIN", "CAM-OFFS", "READMODE"].iter().all(|keyword| !cards.contains_key(*keyword)), "{cards:?}");
+    assert_eq!(history, ["not known at DATE-OBS: CAM-GAIN"]);
 }
 
 /// Ten years of motion are half an arcsecond of many a star.
@@ -640,4 +670,54 @@ fn what_a_frame_does_not_have_is_no_keyword_and_what_it_has_fits_its_card() {
         let record = card.record().unwrap();
         assert!(record.starts_with(&format!("PROGID  = '{:<8}'", programme.replace('\'', "''"))), "{record}");
     }
+}
+
+#[test]
+fn the_colours_of_a_one_shot_camera_are_those_of_the_part_of_the_sensor_that_was_read() {
+    let sensor = |kind: i64, [x, y]: [i64; 2]| {
+        move |of: Kind, property: &str| match (of, property) {
+            (Kind::Camera, "SensorType") => Some(Scalar::Int(kind)),
+            (Kind::Camera, "BayerOffsetX") => Some(Scalar::Int(x)),
+            (Kind::Camera, "BayerOffsetY") => Some(Scalar::Int(y)),
+            _ => None,
+        }
+    };
+    let keywords = ["BAYERPAT", "XBAYROFF", "YBAYROFF"];
+    let whole = Frame { bin: 1, ..frame() };
+    let part = Frame { origin_px: [101, 200], ..whole.clone() };
+    // Whether a site's table lists them or not.
+    for table in [HeaderTable::default(), table("")] {
+        for (frame, offset, expected) in
+            [(&whole, [0, 0], [0, 0]), (&whole, [1, 0], [1, 0]), (&part, [0, 1], [1, 1]), (&part, [1, 1], [0, 1])]
+        {
+            let cards = base_of(&table, frame, &sensor(2, offset));
+            let values = keywords.map(|keyword| cards[keyword].clone());
+            assert_eq!(values, ["RGGB".into(), CardValue::Int(expected[0]), CardValue::Int(expected[1])]);
+        }
+        let binned = Frame { bin: 2, ..whole.clone() };
+        let planes = Frame { planes: 3, ..whole.clone() };
+        for (frame, kind) in [(&binned, 2), (&planes, 2), (&whole, 0), (&whole, 1), (&whole, 3)] {
+            let cards = base_of(&table, frame, &sensor(kind, [0, 0]));
+            assert!(keywords.iter().all(|keyword| !cards.contains_key(*keyword)), "{kind}: {cards:?}");
+        }
+    }
+}
+
+#[test]
+fn a_row_that_stands_twice_or_is_no_keyword_is_named_and_left_out() {
+    let table = table(
+        "SITE,str,true,static,first,\nsite,str,true,static,second,\nTEMP,float,false,Dome,Azimuth,\nTEMP,float,true,static,1.5,\nHISTORY,str,true,static,x,\n\
+         COMMENT,str,true,static,x,\nCONTINUE,str,true,static,x,\nHIERARCH,float,false,Telescope,Altitude,\n",
+    );
+    let notes = check(&table);
+    assert_eq!(notes.len(), 6, "{notes:?}");
+    for keyword in ["SITE", "TEMP", "HISTORY", "COMMENT", "CONTINUE", "HIERARCH"] {
+        assert!(notes.iter().any(|note| note.starts_with(&format!("{keyword}: "))), "{keyword}: {notes:?}");
+    }
+    let cards = base_of(&table, &frame(), &|_, _| None);
+    assert_eq!(cards["SITE"], "first".into());
+    assert!(["TEMP", "HISTORY", "COMMENT", "CONTINUE"].iter().all(|keyword| !cards.contains_key(*keyword)));
+    let around = |_: Kind, _: &str| polls(Scalar::Float(7.0), Scalar::Float(7.0));
+    let (cards, _) = complete(&table, &frame(), EquatorialSystem::J2000, &around);
+    assert_eq!((float(&cards["TEMP"]), cards.contains_key("HIERARCH")), (7.0, false));
 }

@@ -63,6 +63,28 @@ fn names_of_an_imported_site_are_those_of_the_predecessor() {
     assert_eq!(name_of(&namer, &frame), "20261120/andor_NA_default_30.000_20261121_030001.234.fits");
 }
 
+#[test]
+fn an_exposure_as_the_camera_counted_it_is_a_short_word() {
+    for (exposure_s, expected) in [
+        (119.99987, "120s"),
+        (120.0, "120s"),
+        (1.5, "1500ms"),
+        (1.0049, "1s"),
+        (0.99999, "1s"),
+        (0.25, "250ms"),
+        (0.2500004, "250ms"),
+        (0.0123, "12300us"),
+        (0.000_999_7, "1ms"),
+        (0.000_25, "250us"),
+        (0.0, "0s"),
+        (-1.0, "NA"),
+        (f64::NAN, "NA"),
+        (f64::INFINITY, "NA"),
+    ] {
+        assert_eq!(exposure_word(exposure_s), expected, "{exposure_s}");
+    }
+}
+
 /// Each part of a name is a word that no shell and no archive reads otherwise, and names sort by the start of the exposure.
 #[test]
 fn names_are_plain_words_in_the_order_of_exposure() {

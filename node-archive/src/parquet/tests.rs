@@ -96,7 +96,8 @@ fn night(first: i64, number: u64, boot: &BootId) -> Vec<Write> {
     let id = |what: &str| CommandId(format!("{what}-{number}"));
     let frame = Frame { id: id("frame"), started_utc: at(first), ..golden("camera.frame") };
     let (path, file) = (format!("/images/{number}.fits").into(), format!("{number}.fits"));
-    writes.push(Write::Stored(Box::new(StoredImage { frame, path, file, bytes: 5760, stored: at(first + 60) })));
+    let image = StoredImage { frame, file, bytes: 5760, stored: at(first + 60) };
+    writes.push(Write::Stored(Box::new(image), path));
     let facts =
         |name: &str, started| FrameFacts { frame: id(name), started_utc: started, ..golden("observatory.facts") };
     for facts in [facts("frame", Some(at(first))), facts("unknown", None)] {

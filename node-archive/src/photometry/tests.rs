@@ -81,6 +81,12 @@ fn frame(number: u32) -> Frame {
     frame
 }
 
+/// The sensor of a frame whose camera has this in its block.
+fn sensor(of_block: &str, frame: &Frame) -> Sensor {
+    let block = format!("[[camera]]\nname = \"{}\"\nserver = \"h:1\"\n{of_block}", frame.camera);
+    Sensor::of(&config::parse(&format!("{}{block}", test_support::PARANAL), Path::new("/")).unwrap(), frame)
+}
+
 /// A solution whose error is a few tenths of a pixel.
 fn facts(number: u32, fwhm_px: f64, drift: (f64, f64)) -> FrameFacts {
     let off = 0.3 * f64::from(number % 3) - 0.3;
@@ -112,7 +118,8 @@ fn a_transit_of_known_depth_has_this_depth_in_the_light_curve() {
         let (mut frame, facts) = (frame(number), facts(number, fwhm, drift));
         (frame.purpose.ra_deg, frame.purpose.dec_deg) = (Some(ra.degrees()), Some(dec.degrees()));
         let image = imaging::Frame::new(SIZE, SIZE, Pixels::U16(&values)).unwrap();
-        let measured = measure(&image, &frame, &facts, known.clone(), series("callisto", &frame)).unwrap();
+        let measured =
+            measure(&image, &frame, sensor("", &frame), &facts, known.clone(), series("callisto", &frame)).unwrap();
         if number == 0 {
             known = measured.new_stars.clone();
             assert_eq!(known.len(), STARS.len(), "the target and all five stars");
@@ -199,6 +206,26 @@ fn a_star_has_the_same_light_wherever_in_its_pixel_it_stands() {
     }
 }
 
+/// The target's peak is at 37,000 ADU, and one comparison star is below 30,000.
+#[test]
+fn a_light_curve_goes_by_the_sensor_as_configured_before_what_its_driver_reports() {
+    let (values, fwhm, drift) = pixels(0, &mut Noise(7));
+    let image = imaging::Frame::new(SIZE, SIZE, Pixels::U16(&values)).unwrap();
+    let (mut frame, facts) = (frame(0), facts(0, fwhm, drift));
+    let (ra, dec) = wcs(facts.wcs.as_ref().unwrap()).pixel_to_sky(STARS[0].0, STARS[0].1);
+    (frame.purpose.ra_deg, frame.purpose.dec_deg) = (Some(ra.degrees()), Some(dec.degrees()));
+    let target = |of_block: &str| {
+        let measured = measure(&image, &frame, sensor(of_block, &frame), &facts, vec![], "s".to_owned()).unwrap();
+        (measured.fluxes[0].is_saturated, measured.fluxes[0].error_adu, measured.fluxes.len())
+    };
+    let (is_saturated, error, stars) = target("");
+    assert!(!is_saturated && stars == STARS.len());
+    let (is_saturated, _, stars) = target("saturation_adu = 32000.0\n");
+    assert!(is_saturated && stars == 2, "the target and the one star that is good: {stars}");
+    let (_, noisy, _) = target("electrons_per_adu = 0.25\n");
+    assert!(noisy > 2.0 * error, "{noisy} and {error}");
+}
+
 #[test]
 fn a_star_outside_of_the_frame_or_no_star_is_not_measured() {
     let flat = vec![400_u16; SIZE * SIZE];
@@ -207,8 +234,9 @@ fn a_star_outside_of_the_frame_or_no_star_is_not_measured() {
         assert_eq!(aperture::measure(&image, place, 3.0, 1.0, 6e4), None, "{place:?}");
     }
     let frame = frame(0);
-    assert_eq!(measure(&image, &frame, &FrameFacts::default(), vec![], "s".to_owned()), None);
-    assert_eq!(measure(&image, &frame, &facts(0, 3.0, (0.0, 0.0)), vec![], "s".to_owned()), None);
+    let sensor = sensor("", &frame);
+    assert_eq!(measure(&image, &frame, sensor, &FrameFacts::default(), vec![], "s".to_owned()), None);
+    assert_eq!(measure(&image, &frame, sensor, &facts(0, 3.0, (0.0, 0.0)), vec![], "s".to_owned()), None);
 }
 
 #[test]

@@ -100,10 +100,9 @@ async fn frames_are_stored_while_the_largest_questions_are_looked_up() {
         .collect();
     for number in 0..20 {
         let frame = frame(&format!("new-{number}"), ("20261123", 2.0 * DAY_S), light("x", "r"), 30.0);
-        let (path, file) = (format!("/images/new-{number}.fits").into(), format!("new-{number}.fits"));
-        let stored = frame.started_utc;
-        let image = StoredImage { frame, path, file, bytes: 5760, stored };
-        let committed = database.commit(vec![Write::Stored(Box::new(image))]);
+        let (file, stored) = (format!("new-{number}.fits"), frame.started_utc);
+        let image = StoredImage { frame, file, bytes: 5760, stored };
+        let committed = database.commit(vec![Write::Stored(Box::new(image), Default::default())]);
         tokio::time::timeout(LIMIT, committed).await.expect("a frame waited for a question").unwrap();
     }
     // They end after this, and no frame waited for that.

@@ -105,14 +105,8 @@ async fn archive(folder: &Path) -> (Database, Writer) {
     for frame in frames {
         let id = frame.id.0.clone();
         let stored = frame.started_utc;
-        let image = StoredImage {
-            frame,
-            path: format!("/images/{id}.fits").into(),
-            file: format!("{id}.fits"),
-            bytes: 5760,
-            stored,
-        };
-        writes.push(Write::Stored(Box::new(image)));
+        let image = StoredImage { frame, file: format!("{id}.fits"), bytes: 5760, stored };
+        writes.push(Write::Stored(Box::new(image), Default::default()));
     }
     let refused = FrameFacts {
         frame: CommandId("flat-r-refused".to_owned()),
@@ -269,8 +263,9 @@ async fn a_frame_shows_the_places_of_its_own_pixels_and_no_others_wherever_it_po
     let mut writes: Vec<Write> = Vec::new();
     for (seq, (name, wcs)) in (100..).zip(solutions()) {
         let frame = frame(name, ("20261122", DAY_S + 900.0), light(name, "r"), 30.0);
-        let (path, file, stored) = ("/images/x.fits".into(), "x.fits".to_owned(), frame.started_utc);
-        writes.push(Write::Stored(Box::new(StoredImage { frame, path, file, bytes: 5760, stored })));
+        let (file, stored) = ("x.fits".to_owned(), frame.started_utc);
+        let image = StoredImage { frame, file, bytes: 5760, stored };
+        writes.push(Write::Stored(Box::new(image), Default::default()));
         let (ra, dec) = solution::wcs(&wcs).pixel_to_sky(499.5, 249.5);
         let facts = FrameFacts { wcs: Some(wcs), ..facts(name, (ra.degrees(), dec.degrees()), 2.0, 100) };
         let origin = (BootId::fresh(), seq);

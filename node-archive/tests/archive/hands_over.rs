@@ -44,8 +44,11 @@ async fn a_night_that_is_late_raises_an_alert_and_is_delivered_when_the_share_co
     fs::write(&path, "a frame").unwrap();
     let (database, writer) =
         Database::open(&config.archive.database, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
-    let image = StoredImage { frame: frame("a", started), path, file: "a.fits".to_owned(), bytes: 7, stored: started };
-    database.commit(vec![Write::Stored(Box::new(image)), Write::Complete(CommandId("a".to_owned()))]).await.unwrap();
+    let image = StoredImage { frame: frame("a", started), file: "a.fits".to_owned(), bytes: 7, stored: started };
+    database
+        .commit(vec![Write::Stored(Box::new(image), path), Write::Complete(CommandId("a".to_owned()))])
+        .await
+        .unwrap();
     drop(database);
     writer.end().await;
 

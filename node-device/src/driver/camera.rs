@@ -294,8 +294,9 @@ fn fits(part: &Subframe, can: &Capabilities, bin: u32) -> bool {
 /// ASCOM names of the readings that travel with a frame, without repeats.
 pub fn frame_properties(header_rows: Vec<String>) -> Vec<String> {
     let mut names: BTreeMap<String, ()> = header_rows.into_iter().map(|name| (name, ())).collect();
-    // Without the last two nobody knows the noise of the photons, and which pixels are saturated.
-    for name in ["BinX", "BinY", "StartX", "StartY", "ElectronsPerADU", "MaxADU"] {
+    // Without the first two nobody knows the noise of the photons, and which pixels are saturated; the next three are for colours.
+    let wanted = ["ElectronsPerADU", "MaxADU", "SensorType", "BayerOffsetX", "BayerOffsetY"];
+    for name in wanted.into_iter().chain(["BinX", "BinY", "StartX", "StartY"]) {
         names.insert(name.to_owned(), ());
     }
     names.into_keys().collect()

@@ -74,18 +74,18 @@ impl Camera {
         let part = self.set(alpaca, setting).await?;
         let duration = exposure_s.to_string();
         let parameters = [("Duration", duration.as_str()), ("Light", if light { "True" } else { "False" })];
-        let before = self.clock.utc();
-        self.begin(alpaca, &parameters).await?;
+        let between = self.begin(alpaca, &parameters).await?;
         let began = Instant::now();
-        let after = self.clock.utc();
-        let started_utc = before.plus_seconds(after.seconds_since(before) / 2.0);
+        let (asked, answered) = between;
+        let started_utc = asked.plus_seconds(answered.seconds_since(asked) / 2.0);
         let in_state = ExposureInState(self);
         self.memory(|memory| memory.exposure = Some(Exposure { id: id.clone(), started_utc, exposure_s }));
 
         let readings = self.read_fixed(alpaca).await;
         self.wait_until_ready(alpaca, began, exposure_s).await?;
-        let elapsed_s = self.clock.utc().seconds_since(before);
-        let (started_utc, exposure_s) = self.as_the_camera_reports(alpaca, started_utc, exposure_s, elapsed_s).await;
+        let elapsed_s = self.clock.utc().seconds_since(asked);
+        let (reported_utc, exposure_s) = self.as_the_camera_reports(alpaca, between, exposure_s, elapsed_s).await;
+        let started_utc = reported_utc.unwrap_or(started_utc);
         let raw = alpaca.image(setting.pixels()).await?;
         if let Some((width, height)) = raw.size_px()
             && let Some(why) = differs((width, height), part)
@@ -110,26 +110,28 @@ impl Camera {
         Ok(())
     }
 
-    /// Opens the shutter, once. A lost answer is no failure where the camera reports that it exposes, and when the loss
-    /// was noticed so soon that the time of the start is still known.
-    async fn begin(&self, alpaca: &Alpaca, parameters: &[(&str, &str)]) -> Result<(), AlpacaError> {
-        let mut asked = Instant::now();
+    /// Opens the shutter, once; returns when the request that did so was sent and when it was answered. A lost answer is no
+    /// failure where the camera reports that it exposes, and when the loss was noticed so soon that the time of the start
+    /// is still known.
+    async fn begin(&self, alpaca: &Alpaca, parameters: &[(&str, &str)]) -> Result<(Utc, Utc), AlpacaError> {
+        let (mut asked, mut asked_utc) = (Instant::now(), self.clock.utc());
         let mut answer = alpaca.put("startexposure", parameters).await;
         if answer.as_ref().is_err_and(AlpacaError::is_ascom) && self.becomes_free(alpaca).await {
             // It was refused while the camera was still at the frame before; nothing was begun.
-            asked = Instant::now();
+            (asked, asked_utc) = (Instant::now(), self.clock.utc());
             answer = alpaca.put("startexposure", parameters).await;
         }
-        let Err(lost) = &answer else { return answer };
+        let between = (asked_utc, self.clock.utc());
+        let Err(lost) = answer else { return Ok(between) };
         if !lost.is_unknown_outcome() || asked.elapsed() > START_KNOWN {
-            return answer;
+            return Err(lost);
         }
         let state = alpaca.get("camerastate").await.ok().and_then(|state| value::whole(&state).ok());
         if !state.is_some_and(|state| EXPOSES.contains(&state)) {
-            return answer;
+            return Err(lost);
         }
         tracing::warn!(camera = %self.name, %lost, "the answer to the start of an exposure was lost; the camera exposes");
-        Ok(())
+        Ok(between)
     }
 
     /// Waits until a camera that is still busy with the frame before is free; false where it is not busy, or stays so.
@@ -245,17 +247,17 @@ impl Camera {
         Err(AlpacaError::Value(NoData::new("timeout", format!("no image {waited:.0} s after the exposure began"))))
     }
 
-    /// The camera knows best when its shutter opened, if it reports this to a fraction of a second and believably, and
-    /// how long it collected light, if that was possible in the time since the start was asked for.
+    /// The camera knows best when its shutter opened, if it reports this to a fraction of a second and believably, which is
+    /// while the start was asked for, and how long it collected light, if that was possible in the time since.
     async fn as_the_camera_reports(
         &self,
         alpaca: &Alpaca,
-        started_utc: Utc,
+        (asked, answered): (Utc, Utc),
         exposure_s: f64,
         elapsed_s: f64,
-    ) -> (Utc, f64) {
+    ) -> (Option<Utc>, f64) {
         if !self.memory(|memory| memory.reports_start) {
-            return (started_utc, exposure_s);
+            return (None, exposure_s);
         }
         let start = alpaca.get("lastexposurestarttime").await;
         let light = alpaca.get("lastexposureduration").await;
@@ -265,13 +267,16 @@ impl Camera {
         let reported = start.ok().and_then(|start| value::text(&start).ok()).filter(|text| text.contains('.'));
         let reported = reported.and_then(|text| text.parse::<Utc>().ok());
         // A camera computer's own clock may be off.
-        let started = reported.filter(|reported| reported.seconds_since(started_utc).abs() <= 0.5 * self.clock.speed());
+        let most_off_s = 0.5 * self.clock.speed();
+        let started = reported.filter(|reported| {
+            asked.seconds_since(*reported) <= most_off_s && reported.seconds_since(answered) <= most_off_s
+        });
         let light = light.ok().and_then(|light| value::number(&light).ok());
         let light = light.filter(|light| is_possible(*light, exposure_s, elapsed_s));
         if let Some(reported_s) = light.filter(|light| (light - exposure_s).abs() > 0.1 * exposure_s + 0.1) {
             tracing::warn!(camera = %self.name, asked_s = exposure_s, reported_s, "the camera exposed for another time");
         }
-        (started.unwrap_or(started_utc), light.unwrap_or(exposure_s))
+        (started, light.unwrap_or(exposure_s))
     }
 
     /// Decodes, writes, hashes and announces in parallel with the next exposure.

@@ -1,12 +1,16 @@
 //! Devices that answer oddly: with an error once or always, a step off, with a state that stays.
 
-use bus::Catch;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use bus::{Catch, Clock};
 use contract::device::DeviceDescription;
 use contract::device::camera::Frame;
 use contract::device::{camera, dome, filter_wheel, focuser, telescope};
 use contract::{CommandOutcome, Key, Kind, Link};
 use serde_json::{Value, json};
 use test_support::LIMIT;
+use units::Utc;
 
 use crate::fake::{Fake, FakeAnswer};
 use crate::stage::{Stage, accepted, command, until_received};
@@ -146,6 +150,51 @@ async fn frames_are_done_and_announced_though_the_camera_reports_a_download_for_
     let cause = alert(&stage, "device-contradicts/camera/cam").await;
     assert!(cause.contains("CameraState stays Download although no exposure is under way"), "{cause}");
     stage.end().await;
+}
+
+/// Its header would say that it began when it was refused, or half way from there.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_exposure_that_is_refused_during_a_readout_begins_when_it_is_taken() {
+    let utc = || Clock::machine_clock().utc();
+    for reports_start in [true, false] {
+        let hardware = a_camera().await;
+        // When the readout was over, and when the exposure began.
+        let times: Arc<Mutex<Vec<Utc>>> = Arc::default();
+        let noted = times.clone();
+        hardware.on("startexposure", move |fake, _| {
+            if noted.lock().unwrap().is_empty() {
+                fake.answer("camerastate", FakeAnswer::Value(json!(3)));
+                fake.answer("put startexposure", FakeAnswer::Error(0x40B, "the frame before is read out"));
+                let (fake, noted) = (fake.clone(), noted.clone());
+                tokio::spawn(async move {
+                    tokio::time::sleep(Duration::from_secs(2)).await;
+                    noted.lock().unwrap().push(utc());
+                    fake.answer("camerastate", FakeAnswer::Value(json!(0)));
+                });
+                return;
+            }
+            let began = utc();
+            noted.lock().unwrap().push(began);
+            fake.answer("put startexposure", FakeAnswer::Value(Value::Null));
+            fake.answer("imageready", FakeAnswer::Value(json!(true)));
+            if reports_start {
+                fake.answer("lastexposurestarttime", FakeAnswer::Value(json!(began.to_string())));
+            }
+        });
+        let stage = Stage::start(&block("camera", "cam", &hardware, "period_s = 0.2")).await;
+        let key = Key::Frame(stage.device(Kind::Camera, "cam")).to_string();
+        let frames = stage.bus.subscribe::<Frame>(&key, Catch::All, 100).await.unwrap();
+        stage.until::<camera::Camera>("cam", |state| state.link == Link::Connected).await;
+        accepted(&stage.command(Kind::Camera, "cam", &expose("f0", 0.1)).await);
+        let frame = tokio::time::timeout(LIMIT, frames.recv()).await.unwrap().sample.body;
+        let times = times.lock().unwrap().clone();
+        let [free, began] = times[..] else { panic!("it began once: {times:?}") };
+        assert!(frame.started_utc >= free, "{} is in the readout before, {times:?}", frame.started_utc);
+        if reports_start {
+            assert_eq!(frame.started_utc, began, "the camera says when it began");
+        }
+        stage.end().await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

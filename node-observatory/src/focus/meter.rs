@@ -1,6 +1,5 @@
 //! What a frame shows of the focus: one value, by the operator that the row asks for. Pure, and slow.
 
-use contract::device::camera::Frame;
 use contract::observatory::FocusValue;
 use imaging::focus::{Image, Operator};
 use imaging::hfd::{HfdSearch, measure_hfd};
@@ -8,7 +7,7 @@ use imaging::quality::Estimate;
 use imaging::{Star, StarSearch};
 use schedule::focus_meter::Meter;
 
-use crate::frames::measure::{Plane, camera};
+use crate::frames::looked::Fetched;
 
 /// Stars that are measured, the brightest.
 const STARS: usize = 100;
@@ -31,8 +30,8 @@ pub struct Read {
 }
 
 /// Measures a frame; `expected_px` is the size of the stars as far as it is known. Takes a while.
-pub fn measure(meter: &Meter, frame: &Frame, plane: &Plane, expected_px: Option<f64>) -> Read {
-    let camera = camera(frame);
+pub fn measure(meter: &Meter, fetched: &Fetched, expected_px: Option<f64>) -> Read {
+    let Fetched { frame, plane, camera } = fetched;
     let pixels = match plane.frame(frame) {
         Ok(pixels) => pixels,
         Err(error) => return Read::nothing(error.to_string()),
@@ -40,13 +39,13 @@ pub fn measure(meter: &Meter, frame: &Frame, plane: &Plane, expected_px: Option<
     let needs_stars = |operator: &&Operator| operator.needs_stars;
     let wants_stars = meter.looks_for_saturation || meter.operator.iter().chain(&meter.others).any(needs_stars);
     let search = StarSearch { fwhm_px: expected_px.map(|px| px as f32), ..StarSearch::default() };
-    let stars = match wants_stars.then(|| imaging::measure(&pixels, &camera, &search)).transpose() {
+    let stars = match wants_stars.then(|| imaging::measure(&pixels, camera, &search)).transpose() {
         Ok(measured) => measured.map(|measured| measured.stars).unwrap_or_default(),
         Err(error) => return Read::nothing(error.to_string()),
     };
     let places = places(&stars, meter.least_snr);
     let needs_image = meter.operator.is_some() || !meter.others.is_empty();
-    let image = match needs_image.then(|| Image::without_sky(&pixels, &camera)).transpose() {
+    let image = match needs_image.then(|| Image::without_sky(&pixels, camera)).transpose() {
         Ok(image) => image,
         Err(error) => return Read::nothing(error.to_string()),
     };
@@ -60,7 +59,7 @@ pub fn measure(meter: &Meter, frame: &Frame, plane: &Plane, expected_px: Option<
         (Some(operator), Some(image)) => by_operator(operator, image, &places),
         _ => {
             let search = HfdSearch { expected_px, most_stars: STARS, least_snr: meter.least_snr };
-            let sized = measure_hfd(&pixels, &camera, &search).map_err(|error| error.to_string());
+            let sized = measure_hfd(&pixels, camera, &search).map_err(|error| error.to_string());
             sized.map(|sized| (sized.hfd_px, u32::try_from(sized.stars.len()).ok()))
         }
     };
@@ -119,10 +118,18 @@ pub fn together(values: &[Estimate]) -> Option<Estimate> {
 
 #[cfg(test)]
 mod tests {
+    use contract::device::camera::Frame;
+    use imaging::Camera;
     use imaging::focus::Better;
 
     use super::*;
+    use crate::frames::measure::Plane;
     use crate::frames::tests::{drawn, frame};
+
+    fn measured(meter: &Meter, frame: &Frame, pixels: Vec<u16>) -> Read {
+        let (frame, plane) = (frame.clone(), Plane::Counts(pixels));
+        measure(meter, &Fetched { frame, plane, camera: Camera::default() }, None)
+    }
 
     fn read(operator: Option<&str>, others: &[&str], fwhm_px: f64, saturated: bool) -> Read {
         let mut pixels = drawn(400, 300, fwhm_px, 40);
@@ -138,7 +145,7 @@ mod tests {
         };
         let mut light = Frame { width_px: 400, height_px: 300, ..frame("f") };
         light.purpose.image_type = "Light Frame".to_owned();
-        measure(&meter, &light, &Plane::Counts(pixels), None)
+        measured(&meter, &light, pixels)
     }
 
     #[test]
@@ -169,9 +176,9 @@ mod tests {
         let meter = Meter { operator: None, least_snr: 10.0, others: vec![], looks_for_saturation: false };
         let mut light = Frame { width_px: 100, height_px: 80, ..frame("f") };
         light.purpose.image_type = "Light Frame".to_owned();
-        let empty = measure(&meter, &light, &Plane::Counts(drawn(100, 80, 3.0, 0)), None);
+        let empty = measured(&meter, &light, drawn(100, 80, 3.0, 0));
         assert!(empty.value.is_none() && empty.reason.unwrap().contains("none can be sized"));
-        let short = measure(&meter, &light, &Plane::Counts(vec![7; 10]), None);
+        let short = measured(&meter, &light, vec![7; 10]);
         assert!(short.value.is_none() && short.reason.is_some());
     }
 

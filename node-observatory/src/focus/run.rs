@@ -232,7 +232,7 @@ impl Lens<'_> {
             return Ok((intent.frame, Read::nothing("the frame's pixels did not arrive".to_owned())));
         };
         let meter = self.request.meter.clone();
-        let read = stepped_back(move || measure(&meter, &fetched.frame, &fetched.plane, expected_px)).await;
+        let read = stepped_back(move || measure(&meter, &fetched, expected_px)).await;
         Ok((intent.frame, read.unwrap_or_else(Read::nothing)))
     }
 }

@@ -7,6 +7,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use contract::device::camera::Frame;
+use imaging::Camera;
 
 use super::looked::Fetched;
 use super::measure::{self, Plane};
@@ -46,12 +47,12 @@ impl Dark {
     }
 
     /// Saturated pixels stay saturated.
-    fn taken_off(&self, frame: &Frame, plane: Plane) -> Plane {
+    fn taken_off(&self, camera: &Camera, plane: Plane) -> Plane {
         let light = values(&plane);
         if light.len() != self.excess_adu.len() {
             return plane;
         }
-        let most_adu = measure::camera(frame).max_adu.unwrap_or(MOST_ADU);
+        let most_adu = camera.saturation_adu.or(camera.max_adu).unwrap_or(MOST_ADU);
         let less = |(light, excess): (f32, &f32)| if light >= most_adu { light } else { light - excess };
         Plane::Floats(light.into_iter().zip(&self.excess_adu).map(less).collect())
     }
@@ -70,10 +71,10 @@ pub struct Darks(Mutex<HashMap<String, Arc<Dark>>>);
 
 impl Darks {
     /// The plane of a frame, less the dark that is in force for its row.
-    pub fn taken_off(&self, frame: &Frame, plane: Plane) -> Plane {
+    pub fn taken_off(&self, frame: &Frame, camera: &Camera, plane: Plane) -> Plane {
         let dark = self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&frame.camera).cloned();
         match dark.filter(|dark| dark.is_for(frame)) {
-            Some(dark) => dark.taken_off(frame, plane),
+            Some(dark) => dark.taken_off(camera, plane),
             None => plane,
         }
     }
@@ -107,7 +108,7 @@ mod tests {
     fn framed(image_type: &str, row: u32, pixels: Vec<u16>) -> Fetched {
         let mut frame = Frame { width_px: 300, height_px: 200, ..frame("f") };
         (frame.purpose.image_type, frame.purpose.row) = (image_type.to_owned(), Some(row));
-        Fetched { frame, plane: Plane::Counts(pixels) }
+        Fetched { frame, plane: Plane::Counts(pixels), camera: Camera::default() }
     }
 
     fn with_hot_pixels(mut pixels: Vec<u16>) -> Vec<u16> {
@@ -124,8 +125,8 @@ mod tests {
         let darks = Darks::default();
         let in_force = darks.put("cam", dark);
         let plane = |row, pixels: Vec<u16>| {
-            let Fetched { frame, plane } = framed("Light Frame", row, pixels);
-            values(&darks.taken_off(&frame, plane))
+            let Fetched { frame, plane, camera } = framed("Light Frame", row, pixels);
+            values(&darks.taken_off(&frame, &camera, plane))
         };
         let Plane::Counts(counts) = light.plane else { panic!("counts") };
         let as_drawn: Vec<f32> = sky.iter().map(|count| f32::from(*count)).collect();
@@ -139,10 +140,10 @@ mod tests {
     fn a_dark_of_another_shape_is_left_alone() {
         let darks = Darks::default();
         let _in_force = darks.put("cam", Dark::of(&framed("Dark Frame", 3, vec![300; 60_000])));
-        let Fetched { mut frame, plane } = framed("Light Frame", 3, vec![1_000; 60_000]);
+        let Fetched { mut frame, plane, camera } = framed("Light Frame", 3, vec![1_000; 60_000]);
         frame.bin = 2;
-        assert!(matches!(darks.taken_off(&frame, plane), Plane::Counts(_)));
+        assert!(matches!(darks.taken_off(&frame, &camera, plane), Plane::Counts(_)));
         let short = framed("Light Frame", 3, vec![1_000; 10]);
-        assert!(matches!(darks.taken_off(&short.frame, short.plane), Plane::Counts(_)));
+        assert!(matches!(darks.taken_off(&short.frame, &camera, short.plane), Plane::Counts(_)));
     }
 }

@@ -33,10 +33,11 @@ pub fn look(
 ) -> (Looked, Option<Lesson>) {
     let clock = measuring.authority.node.bus.clock();
     let began = clock.machine();
-    let plane = measuring.frames.darks.taken_off(&frame, Plane::of(&frame, bytes));
-    let fetched = Arc::new(Fetched { frame, plane });
+    let camera = measure::camera(&measuring.authority.node.config, &frame);
+    let plane = measuring.frames.darks.taken_off(&frame, &camera, Plane::of(&frame, bytes));
+    let fetched = Arc::new(Fetched { frame, plane, camera });
     measuring.frames.looks.fetched(&fetched);
-    let (facts, measured) = measure(&fetched.frame, &fetched.plane, before.width);
+    let (facts, measured) = measure(&fetched.frame, &fetched.plane, &fetched.camera, before.width);
     let mut looked = Looked { frame: fetched.frame.clone(), facts, measured, solved: None };
     // A task that follows the pixels holds its own reference to them.
     drop(fetched);

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use contract::CommandId;
 use contract::device::camera::Frame;
 use contract::observatory::FrameFacts;
-use imaging::{Measured, NoSolution, Solution};
+use imaging::{Camera, Measured, NoSolution, Solution};
 use tokio::sync::broadcast;
 
 use super::measure::Plane;
@@ -26,6 +26,8 @@ pub struct Fetched {
     pub frame: Frame,
     /// Its pixels.
     pub plane: Plane,
+    /// What took it.
+    pub camera: Camera<'static>,
 }
 
 /// A frame that was looked at.
@@ -149,7 +151,8 @@ mod tests {
     #[tokio::test]
     async fn pixels_go_to_the_followers_and_are_stored_for_nobody_else() {
         let looks = Looks::default();
-        let fetched = Arc::new(Fetched { frame: frame("a"), plane: Plane::Counts(vec![1, 2]) });
+        let fetched =
+            Arc::new(Fetched { frame: frame("a"), plane: Plane::Counts(vec![1, 2]), camera: Camera::default() });
         looks.fetched(&fetched);
         assert_eq!(Arc::strong_count(&fetched), 1);
         let mut follower = looks.follow_pixels();

@@ -1,5 +1,6 @@
 //! From a frame's bytes to its facts.
 
+use config::{Observatory, Sensor};
 use contract::device::camera::{Frame, Pixel};
 use contract::observatory::FrameFacts;
 use imaging::quality::{Estimate, Quality};
@@ -26,17 +27,16 @@ pub fn shows_stars(image_type: &str) -> bool {
 /// Measures the pixels of a frame; `fwhm_px` is the width of the stars on the last frame of this camera and binning.
 ///
 /// Takes a while: not for async threads. A value that cannot be measured is absent, with the reason.
-pub fn measure(frame: &Frame, plane: &Plane, fwhm_px: Option<f32>) -> (FrameFacts, Option<Measured>) {
+pub fn measure(frame: &Frame, plane: &Plane, camera: &Camera, fwhm_px: Option<f32>) -> (FrameFacts, Option<Measured>) {
     let mut facts = unmeasured(frame);
-    let camera = camera(frame);
     let measured = plane.frame(frame).and_then(|pixels| {
         if shows_stars(&frame.purpose.image_type) {
             let search = StarSearch { fwhm_px, ..StarSearch::default() };
-            let measured = imaging::measure(&pixels, &camera, &search)?;
+            let measured = imaging::measure(&pixels, camera, &search)?;
             describe(&mut facts, &measured.quality);
             Ok(Some(measured))
         } else {
-            Clean::new(&pixels, &camera, None).map(|clean| describe_level(&mut facts, &clean))?;
+            Clean::new(&pixels, camera, None).map(|clean| describe_level(&mut facts, &clean))?;
             Ok(None)
         }
     });
@@ -50,13 +50,15 @@ pub fn measure(frame: &Frame, plane: &Plane, fwhm_px: Option<f32>) -> (FrameFact
     (facts, measured)
 }
 
-/// What the device's readings show of the camera.
-pub fn camera(frame: &Frame) -> Camera<'static> {
-    let number = |property: &str| {
-        let value = frame.readings.get(property)?.value()?.number()?;
-        (value.is_finite() && value > 0.0).then_some(value as f32)
-    };
-    Camera { max_adu: number("MaxADU"), gain_e_per_adu: number("ElectronsPerADU").unwrap_or(1.0), ..Camera::default() }
+/// The camera that took a frame, as the configuration and the frame's readings show it.
+pub fn camera(config: &Observatory, frame: &Frame) -> Camera<'static> {
+    let sensor = Sensor::of(config, frame);
+    Camera {
+        max_adu: sensor.max_adu.map(|adu| adu as f32),
+        saturation_adu: sensor.saturation_adu.map(|adu| adu as f32),
+        gain_e_per_adu: sensor.electrons_per_adu.map_or(1.0, |gain| gain as f32),
+        ..Camera::default()
+    }
 }
 
 fn describe(facts: &mut FrameFacts, quality: &Quality) {
@@ -129,6 +131,10 @@ impl Plane {
 
 #[cfg(test)]
 mod tests {
+    use contract::datum::ReadingOutcome;
+    use contract::{Reading, Scalar};
+    use units::Utc;
+
     use super::super::tests::{drawn, frame};
     use super::*;
 
@@ -139,7 +145,7 @@ mod tests {
     }
 
     fn measure(frame: &Frame, bytes: Vec<u8>, fwhm_px: Option<f32>) -> FrameFacts {
-        super::measure(frame, &Plane::of(frame, bytes), fwhm_px).0
+        super::measure(frame, &Plane::of(frame, bytes), &Camera::default(), fwhm_px).0
     }
 
     fn bytes(pixels: &[u16]) -> Vec<u8> {
@@ -158,6 +164,38 @@ mod tests {
         assert_eq!((facts.trailed, facts.saturated_fraction), (Some(false), Some(0.0)));
         let again = measure(&light(400, 300, Pixel::U16), bytes(&drawn), facts.fwhm_px.map(|fwhm| fwhm as f32));
         assert!((again.fwhm_px.unwrap() - 3.2).abs() < 0.1, "with the last frame's width: {again:?}");
+    }
+
+    /// What the header says of the sensor is what the stars are measured by.
+    #[test]
+    fn stars_are_saturated_and_noisy_as_the_sensor_is_configured_before_what_its_driver_reports() {
+        // Drawn on 1000 ADU, the brightest peaks at 3000.
+        let drawn: Vec<u16> = drawn(400, 300, 3.2, 40).iter().map(|count| (count - 900) * 26).collect();
+        let greatest = *drawn.iter().max().unwrap();
+        assert!((52_000..58_000).contains(&greatest), "{greatest}");
+        let mut frame = light(400, 300, Pixel::U16);
+        for (name, value) in [("MaxADU", 65_535.0), ("ElectronsPerADU", 0.0)] {
+            let outcome = ReadingOutcome::Value { value: Scalar::Float(value), unit: String::new() };
+            frame.readings.insert(name.to_owned(), Reading { outcome, at_utc: Utc::EPOCH, age_s: None });
+        }
+        let measured = |of_block: &str| {
+            let text = format!(
+                "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\nelevation_m = \
+                 0.0\n[[camera]]\nname = \"cam\"\nserver = \"h:1\"\n{of_block}"
+            );
+            let config = config::parse(&text, std::path::Path::new(".")).unwrap();
+            let camera = camera(&config, &frame);
+            let (facts, measured) = super::measure(&frame, &Plane::of(&frame, bytes(&drawn)), &camera, None);
+            (facts.saturated_fraction.unwrap(), measured.unwrap().stars)
+        };
+        let saturated = |stars: &[imaging::Star]| stars.iter().filter(|star| star.flags.saturated).count();
+        let (fraction, stars) = measured("");
+        assert_eq!((fraction, saturated(&stars)), (0.0, 0), "the driver's greatest count is not reached");
+        let (fraction, burnt) = measured("saturation_adu = 50000.0\n");
+        assert!(fraction > 0.0 && (1..10).contains(&saturated(&burnt)), "{fraction}, {}", saturated(&burnt));
+        let (_, noisy) = measured("electrons_per_adu = 0.01\n");
+        let error = |stars: &[imaging::Star]| stars[0].flux_error_adu;
+        assert!(error(&noisy) > 2.0 * error(&stars), "{} and {}", error(&noisy), error(&stars));
     }
 
     #[test]

@@ -67,7 +67,7 @@ pub fn correction(
         stage: stage(decision.state),
         dx_px: shift.and_then(|shift| if_finite(shift.dx_px)),
         dy_px: shift.and_then(|shift| if_finite(shift.dy_px)),
-        error_px: shift.and_then(|shift| if_finite(shift.error_px().0.max(shift.error_px().1))),
+        shift_error_px: shift.and_then(|shift| if_finite(shift.error_px().0.max(shift.error_px().1))),
         rotation_deg: shift
             .filter(|shift| shift.covariance[2][2] > 0.0)
             .and_then(|shift| if_finite(shift.rotation_deg)),

@@ -12,7 +12,6 @@ use imaging::{Clean, NoShift, Star};
 
 use super::calibrated::binned;
 use crate::frames::looked::{Fetched, Looks};
-use crate::frames::measure;
 
 /// With fewer stars than this, a field may be recognized by its sums over rows and columns.
 const FEW_STARS: usize = 5;
@@ -104,7 +103,7 @@ impl Session {
     pub fn with_profiles(mut self, fetched: &Fetched) -> Self {
         if self.reference.stars().len() < FEW_STARS
             && let Ok(frame) = fetched.plane.frame(&fetched.frame)
-            && let Ok(clean) = Clean::new(&frame, &measure::camera(&fetched.frame), None)
+            && let Ok(clean) = Clean::new(&frame, &fetched.camera, None)
         {
             self.reference = self.reference.with_profiles(&clean);
         }
@@ -171,9 +170,8 @@ impl Session {
         // A copy of some ten kilobytes, so that nothing is lost when the loop is dropped meanwhile.
         let (mut reference, fetched) = (self.reference.clone(), fetched.clone());
         let look = move || {
-            let camera = measure::camera(&fetched.frame);
             let seen = match fetched.plane.frame(&fetched.frame) {
-                Ok(frame) => reference.measure(&frame, &camera, expected_px),
+                Ok(frame) => reference.measure(&frame, &fetched.camera, expected_px),
                 Err(_) => Err(NoShift::TooFewStars { reference: reference.stars().len(), check: 0 }),
             };
             (reference, seen)
@@ -197,7 +195,7 @@ impl Session {
         let (reference, fetched, none) = (self.reference.clone(), fetched.clone(), self.no_stars());
         let look = move || {
             let frame = fetched.plane.frame(&fetched.frame).ok()?;
-            let clean = Clean::new(&frame, &measure::camera(&fetched.frame), None).ok()?;
+            let clean = Clean::new(&frame, &fetched.camera, None).ok()?;
             Some(reference.project(&clean))
         };
         tokio::task::spawn_blocking(look).await.ok().flatten().unwrap_or(Err(none))

@@ -486,7 +486,11 @@ mod tests {
         let mut pixels = looks.follow_pixels();
         let fetched = |id: &str, camera: &str| {
             let frame = contract::device::camera::Frame { camera: camera.to_owned(), ..frame(id) };
-            looks.fetched(&Arc::new(Fetched { frame, plane: Plane::Counts(Vec::new()) }));
+            looks.fetched(&Arc::new(Fetched {
+                frame,
+                plane: Plane::Counts(Vec::new()),
+                camera: imaging::Camera::default(),
+            }));
         };
         // More than wait: the oldest is gone.
         for (id, camera) in [("a", "cam"), ("b", "cam"), ("c", "cam")] {

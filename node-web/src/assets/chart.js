@@ -1,6 +1,6 @@
 // Charts over time: panels one below the other with one cursor (uPlot). The far side of a limit is hatched, and no line crosses a gap.
 import { html, signal, useEffect, useRef, useSignal } from "./lib.js";
-import { clock, hourMinute, labels, number } from "./format.js";
+import { clockOn, labels, number, tickOn } from "./format.js";
 import { useNumbers } from "./numbers.js";
 import { TimeTools, useTimeView } from "./timeview.js";
 
@@ -151,7 +151,7 @@ function options(panel, shared, width, last, onAt) {
     width, height: panel.height + (last ? 26 : 0), padding: [6, 18, last ? 0 : 4, 0], legend: { show: false },
     cursor: { sync: { key: shared.key, setSeries: false }, y: false, drag: { x: false, y: false, setScale: false }, points: { size: 7 } },
     scales: { x: { time: true, range: () => shared.view().map((t) => t / 1000) }, y: { range: panel.range ?? range(panel) } },
-    axes: [{ ...axis, show: true, size: last ? 26 : 0, values: (_, ticks) => ticks.map((t) => (last ? hourMinute(t * 1000) : "")) },
+    axes: [{ ...axis, show: true, size: last ? 26 : 0, values: (_, ticks) => { const [from, to] = shared.view(); return ticks.map((t) => (last ? tickOn(to - from, t * 1000) : "")); } },
       { ...axis, size: LEFT, space: 22, values: (_, ticks) => labels(ticks) }],
     tzDate: (t) => new Date(new Date(t * 1000).toLocaleString("en-US", { timeZone: "UTC" })),
     series: [{}, ...panel.series.map(seriesOf)],
@@ -255,8 +255,8 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, label, plain =
     ${panels.map((panel) => html`<div class="panel" key=${panel.name}><div class="row between read"><span class="m">${panel.name}</span><span>${panel.series.filter((one) => !one.quiet).map((one) => {
       const found = nearest(one.points, at.value ?? now ?? t1);
       return html`<span class="nw" key=${one.name}>${one.name && html`<span class="m">${one.name}</span> `}<b>${found ? number(found[1], panel.digits ?? 1) : "—"}</b> </span>`;
-    })}<span class="m">${panel.unit ?? ""}${at.value ? ` at ${clock(at.value)}` : ""}</span></span></div><div class="plot"></div></div>`)}</div>
+    })}<span class="m">${panel.unit ?? ""}${at.value ? ` at ${clockOn(view.t1 - view.t0, at.value)}` : ""}</span></span></div><div class="plot"></div></div>`)}</div>
     ${missing.value && html`<p class="m">The server did not send what draws charts; load the page again.</p>`}
-    ${marks?.length > 0 && !plain && html`<p class="tagline">${marks.map((mark) => `${clock(mark.t)} ${mark.text}`).join(" · ")}</p>`}
+    ${marks?.length > 0 && !plain && html`<p class="tagline">${marks.map((mark) => `${clockOn(t1 - t0, mark.t)} ${mark.text}`).join(" · ")}</p>`}
     ${!plain && html`<${TimeTools} view=${view} at=${at.value} pick=${pick.value} end=${numbers.toggle} />`}</div>${!plain && numbers.table}`;
 }

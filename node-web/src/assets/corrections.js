@@ -1,14 +1,9 @@
 // The past of guiding, from the archive.
-import { useMemo, useSignal } from "./lib.js";
-import { useGet } from "./api.js";
-import { skyNow } from "./store.js";
+import { useWindow } from "./history.js";
 
 /** The corrections of the newest hours, the oldest first. */
 export function useCorrections(id, hours) {
-  const now = useSignal(null);
-  if (now.peek() === null && skyNow()) now.value = skyNow();
-  const found = useGet(now.value && `/api/v1/telescopes/${id}/guiding/corrections?from_utc=${new Date(now.value - hours * 3600e3).toISOString()}&limit=3000`, 20);
-  const corrections = (found.data?.rows ?? []).map((row) => row.correction).filter(Boolean).sort((a, b) => (a.mid_utc < b.mid_utc ? -1 : 1));
-  const t1 = useMemo(() => skyNow(), [found.at]);
-  return { ...found, corrections, t1 };
+  const { found, t0, t1 } = useWindow(hours, (from) => `/api/v1/telescopes/${id}/guiding/corrections?from_utc=${from}&limit=3000`, 20);
+  const corrections = (found.data?.rows ?? []).map((row) => row.correction).filter((one) => one && Date.parse(one.mid_utc) >= t0).sort((a, b) => (a.mid_utc < b.mid_utc ? -1 : 1));
+  return { ...found, corrections, truncated: found.data?.truncated === true, t0, t1 };
 }

@@ -1,4 +1,5 @@
 // What an observer asks first of each kind of device: words of state, then values. The inspector has everything.
+import { elapsed } from "./elapsed.js";
 import { declination, duration, number, plain, rightAscension } from "./format.js";
 import { ageOf, quality, skyNow, skySpeed, useTopic } from "./store.js";
 
@@ -34,9 +35,18 @@ export function devicesOf(states) {
     const [site, telescope, , kind, name] = key.split("/");
     const age = ageOf(entry);
     const lost = entry.body?.link?.is === "lost";
-    return { key, site, telescope, kind, name, entry, body: entry.body ?? {}, fields: entry.body?.fields ?? {}, age, worth: lost ? "lost" : quality(age, entry.period_s), lost, silent: lost ? (performance.now() - entry.lostAt) / 1000 : age, about: states.get(key.replace(/state$/, "capabilities"))?.body,
+    return { key, site, telescope, kind, name, entry, body: entry.body ?? {}, fields: entry.body?.fields ?? {}, age, worth: lost ? "lost" : quality(age, entry.period_s), lost, silent: lost ? (elapsed() - entry.lostAt) / 1000 : age, about: states.get(key.replace(/state$/, "capabilities"))?.body,
       icon: KINDS[kind]?.icon ?? "plug" };
   }).sort((a, b) => Number(a.telescope === "shared") - Number(b.telescope === "shared") || order.indexOf(a.kind) - order.indexOf(b.kind) || a.name.localeCompare(b.name));
+}
+
+/** The state of a key: its body, what it is worth, and until when it is known, ms of the sky: now while it is fresh, else the time of the last one. @returns {{ body: any, worth: string, until: number | null, age: number | null }} */
+export function stateOf(states, key) {
+  const entry = states?.get(key);
+  if (!entry) return { body: null, worth: "lost", until: null, age: null };
+  const age = ageOf(entry);
+  const worth = quality(age, entry.period_s);
+  return { body: entry.body, worth, until: worth === "fresh" ? skyNow() : Date.parse(entry.at_utc), age };
 }
 
 /** Its state in words. */

@@ -9,7 +9,8 @@ import { clock, duration, nightOf, number } from "./format.js";
 import { Card, Dialog, Empty, Guard, Shape, Table } from "./parts.js";
 import { RowForm } from "./row.js";
 import { difference, fixed, lineOf, moved, nameOf, placeOf, rowsOf, withNew, withRow, without } from "./rowtext.js";
-import { moment, useTopic } from "./store.js";
+import { tonight } from "./site.js";
+import { moment, net, useTopic } from "./store.js";
 import { templateOf } from "./templates.js";
 
 /** Findings come when nothing was written for so long, ms. */
@@ -19,7 +20,7 @@ const QUIET_MS = 500;
 const Fix = ({ finding: { fix, line }, onFix }) => {
   if (!fix) return null;
   const word = fix.text ? `Use ${fix.text}` : "Remove";
-  return html`<button class="btn sm soft fix" data-testid="fix" title=${word} disabled=${!onFix} onClick=${() => onFix(fix)}><span class="cut">${word}<span class="vh"> in line ${line}</span></span></button>`;
+  return html`<button class="btn sm soft fix" data-testid="fix" title=${word} disabled=${!onFix} onClick=${() => onFix(fix)}><span class="cut">${word}</span><span class="vh"> in line ${line}</span></button>`;
 };
 
 /** Findings stand with their line; a touch goes there. */
@@ -180,7 +181,7 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
       ${isOld && html`<div class="note p3" data-testid="other-in-force"><span class="grow"><b>Another schedule was put in force since this draft began.</b> The difference below is to that one.</span><button class="btn soft" onClick=${draft.seen}>I have seen it</button></div>`}
       ${problem.value && html`<div class="note p2" role="alert"><span class="grow">${problem.value.message}</span></div>`}<//>
     <${Card} name="The draft over the night" end=${html`<span class="key">draft</span><span class="key dash">in force</span>`} cls="tl"><${DraftLine} rows=${rows} marked=${marked} inForce=${inForceRows} plan=${plan?.rows} site=${site} now=${moment.value ?? Date.now()} chosen=${chosen} onChoose=${(row) => choose(row.from)} onOpen=${(row) => { form.value = { row }; }} onMove=${move} /><//>
-    <div class="grid draft-parts"><${Card} name="Text" end=${html`<input ref=${file} type="file" class="vh" tabindex="-1" aria-label="A file with a schedule" accept=".jsonl,.json,.txt" onChange=${press(async (event) => { const [one] = event.target.files; event.target.value = ""; if (one) await draft.upload(one); })} /><button class="btn quiet sm" onClick=${() => file.current.click()}>Upload …</button><button class="btn quiet sm" onClick=${() => save(text.peek(), `${id.replaceAll("/", "-")}-${nightOf(moment.value ?? Date.now())}.jsonl`)}>Download</button><button class="btn quiet sm" onClick=${press(draft.startOver)}>Start over</button>`}><${Text} draft=${draft} area=${area} caret=${caret} chosen=${chosen} marked=${marked} /><//>
+    <div class="grid draft-parts"><${Card} name="Text" end=${html`<input ref=${file} type="file" class="vh" tabindex="-1" aria-label="A file with a schedule" accept=".jsonl,.json,.txt" onChange=${press(async (event) => { const [one] = event.target.files; event.target.value = ""; if (one) await draft.upload(one); })} /><button class="btn quiet sm" onClick=${() => file.current.click()}>Upload …</button><button class="btn quiet sm" onClick=${() => save(text.peek(), `${id.replaceAll("/", "-")}-${tonight(net.peek().get(id)) ?? nightOf(Date.now())}.jsonl`)}>Download</button><button class="btn quiet sm" onClick=${press(draft.startOver)}>Start over</button>`}><${Text} draft=${draft} area=${area} caret=${caret} chosen=${chosen} marked=${marked} /><//>
       <div class="grid"><${Chosen} row=${chosen} onAdd=${() => { form.value = { row: null }; }} onChange=${() => { form.value = { row: chosen }; }} onDuplicate=${duplicate} onRemove=${() => draft.edit(without(text.peek(), chosen), `removing ${nameOf(chosen.row)}`)} />
         <${Card} name="Findings">${checked.value?.error ? html`<div class="note p2" role="alert"><span class="grow">${checked.value.error.message}</span></div>` : html`<${Findings} findings=${findings} onGo=${goTo} onFix=${checked.value?.text === text.value ? mend : null} />`}<//>
         <${Card} name="Compared with what is in force" flush end=${`${changes.length} ${changes.length === 1 ? "row" : "rows"}`}><${Changes} label="The draft compared with the schedule in force" changes=${changes} /><//></div></div>

@@ -26,6 +26,16 @@ export function day(utc) {
   return new Date(utc).toLocaleDateString("en-GB", { weekday: "short", day: "numeric", month: "short", timeZone: "UTC" });
 }
 
+/** `21 Nov`. */
+export const shortDay = (utc) => day(utc).split(" ").slice(1).join(" ");
+
+/** A longer axis has its days, ms. */
+const WITHIN_A_DAY = 20 * 3600e3;
+/** A time of day on an axis of such a length, `04:12:31`; on one that is longer than 20 h with its day, `21 Nov 04:12:31`. */
+export const clockOn = (span, utc) => (span > WITHIN_A_DAY ? `${shortDay(utc)} ${clock(utc)}` : clock(utc));
+/** The label of an axis of such a length: its midnights are days. */
+export const tickOn = (span, utc) => (span > WITHIN_A_DAY && utc % 86400e3 === 0 ? shortDay(utc) : hourMinute(utc));
+
 /** A number with so many decimals and a true minus sign; what is rounded to nothing has none. */
 export function number(value, decimals = 1) {
   return value.toFixed(decimals).replace(/^-(?=[0.]*$)/, "").replace(/^-/, MINUS);
@@ -91,7 +101,7 @@ export function plain(value) {
   return String(value);
 }
 
-/** The name of a night, `20261120`, of a moment: UTC noon divides. */
+/** The name of a night, `20261120`, of a moment where UTC noon divides: arithmetic of dates alone, the present night is `tonight` of site.js. */
 export const nightOf = (ms) => new Date(ms - 12 * 3600e3).toISOString().slice(0, 10).replaceAll("-", "");
 /** `Fri 20 Nov` of a night's name. */
 export const nightDay = (night) => day(`${night.slice(0, 4)}-${night.slice(4, 6)}-${night.slice(6, 8)}T12:00:00Z`);

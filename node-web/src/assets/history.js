@@ -3,26 +3,38 @@ import { html, useMemo, useSignal } from "./lib.js";
 import { useGet } from "./api.js";
 import { Chart, pointsOf } from "./chart.js";
 import { Card, Empty, Loaded, Segment } from "./parts.js";
-import { skyNow } from "./store.js";
+import { moment, skyNow, skySpeed } from "./store.js";
 
 export const SPANS = [[1, "1 h"], [6, "6 h"], [24, "24 h"], [72, "3 d"]];
 
+/** The words for so many hours. */
+export const spanWords = (hours) => SPANS.find(([one]) => one === hours)[1];
+
+/**
+ * The answer for the newest hours: `{ found, t0, t1 }`. The window moves in steps of a sixtieth of it, and of a minute at least; meanwhile what is known stays. `pathOf(from)` is the
+ * address; its end is left to the archive, so that each repetition has what is new.
+ */
+export function useWindow(hours, pathOf, everyS) {
+  const step = Math.max(60e3 * skySpeed(), hours * 60e3);
+  const now = moment.value === null ? null : Math.floor(moment.value / step) * step;
+  const got = useGet(now && pathOf(new Date(now - hours * 3600e3).toISOString()), everyS, { keep: true });
+  // What came for a longer or a shorter one is not shown as this one.
+  const of = useMemo(() => hours, [got.data]);
+  const found = of === hours ? got : { ...got, data: null, error: got.loading ? null : got.error };
+  // The axis ends when the newest answer came or the window moved: a chart is made anew with new values, and not each second.
+  const t1 = useMemo(() => skyNow() ?? 0, [got.data, now]);
+  return { found, t0: t1 - hours * 3600e3, t1 };
+}
+
 /** The newest hours of some properties: `{ data, t0, t1, series(property) }`. */
 export function useHistory(id, properties, hours, points = 400, everyS = 30) {
-  const now = useSignal(null);
-  const t1 = now.value ?? skyNow();
-  if (now.peek() === null && t1) now.value = t1;
-  const t0 = t1 && t1 - hours * 3600e3;
-  const stamp = (ms) => new Date(Math.floor(ms / 1000) * 1000).toISOString();
-  // The end of the range is left to the archive, so that each repetition has what is new.
-  const found = useGet(t1 && `/api/v1/telescopes/${id}/series?properties=${properties.map(encodeURIComponent).join(",")}&from_utc=${stamp(t0)}&points=${points}`, everyS);
+  const { found, t0, t1 } = useWindow(hours, (from) => `/api/v1/telescopes/${id}/series?properties=${properties.map(encodeURIComponent).join(",")}&from_utc=${from}&points=${points}`, everyS);
   const series = (property) => {
     const [kind, device, name] = property.split("/");
-    return (found.data?.rows ?? []).map((row) => row.series).find((one) => one && one.kind === kind && one.device === device && one.property === name);
+    const all = (found.data?.rows ?? []).map((row) => row.series).find((one) => one && one.kind === kind && one.device === device && one.property === name);
+    return all && { ...all, points: (all.points ?? []).filter((point) => Date.parse(point.at_utc) >= t0) };
   };
-  // The axis ends when the newest answer came: a chart is made anew with new values, and not each second.
-  const end = useMemo(() => skyNow() ?? 0, [found.at]);
-  return { ...found, t0, t1: Math.max(t1 ?? 0, end), series };
+  return { ...found, t0, t1, series };
 }
 
 export function History({ id, properties, title, unit, limits }) {

@@ -4,8 +4,8 @@ import { useReport } from "./api.js";
 import { altaz, moon, twilight } from "./astro.js";
 import { clock, hourMinute, number } from "./format.js";
 import { inputWords } from "./inputs.js";
-import { standing } from "./parts.js";
-import { siteOf } from "./site.js";
+import { Old, answeredAt, standing } from "./parts.js";
+import { siteOf, tonight } from "./site.js";
 import { net, useTopic } from "./store.js";
 import { TimeTools, useTimeView } from "./timeview.js";
 
@@ -139,13 +139,16 @@ export function named(curves, right, top, now) {
 export const Keys = ({ ahead = "forecast" }) => [["b-done", "exposed"], ["b-next", ahead], ["b-stop", "closed for weather"], ["b-gone", "fault, or not known"]].map(([cls, text]) =>
   html`<span class="key bar-key" key=${cls}><svg width="18" height="12" aria-hidden="true"><rect class=${cls} x="1" y="1" width="16" height="10" rx="2" /></svg>${text}</span>`);
 
+/** In the head of a night: of when its report and its forecast are, where they are not the newest. */
+export const OldNight = ({ report, plan }) => [["done", report], ["forecast", plan]].map(([what, of]) => of.data !== null && of.worth !== "fresh" && html`<span class="nw" key=${what}>${what} <${Old} of=${of} /></span>`);
+
 export const bands = (t0, t1, site, X, y, height) => site && twilightOf(t0, t1, site).map((band) => html`<rect key=${band.from} class=${`tw-${band.kind}`} x=${X(band.from).toFixed(1)} y=${y} width=${(X(band.to) - X(band.from) + 0.6).toFixed(1)} height=${height} />`);
 
 /**
  * `rows`: windows with status; `plan`: rows of a forecast with `runs_utc` and `altitude_curve`; `report`: of the night; `verdicts`: intervals of the
- * verdict; `site`; `now`; `target`: the present one, `{ name, row, ra, dec, from, to }`. Any may be absent. A phone begins with the hours around now.
+ * verdict, known up to `until` (ms); `site`; `now`; `target`: the present one, `{ name, row, ra, dec, from, to }`. Any may be absent. A phone begins with the hours around now.
  */
-export function Night({ rows = [], plan = [], report = null, verdicts = [], site, now, target = null, label = "The night" }) {
+export function Night({ rows = [], plan = [], report = null, verdicts = [], until = null, site, now, target = null, label = "The night" }) {
   const place = useRef(null);
   const hover = useSignal(null);
   const pick = useSignal(null);
@@ -180,7 +183,8 @@ export function Night({ rows = [], plan = [], report = null, verdicts = [], site
   const span = [t0, t1];
   const planned = rows.map((row) => ({ from: utc(row.start_utc), to: utc(row.end_utc), cls: row.status === "failed" ? "b-err" : "b-plan", texts: [words(row.object ?? row.action)], title: `${row.row + 1}. ${[row.action, row.object].filter(Boolean).join(" ")}, ${row.status}${row.detail ? `: ${row.detail}` : ""}` }));
   const ahead = plan.flatMap((row) => (row.runs_utc ?? []).filter(([, end]) => utc(end) > now).map(([a, b]) => ({ from: Math.max(now, utc(a)), to: utc(b), cls: "b-next", texts: [words(row.object ?? row.action)], title: `forecast: ${row.action} ${row.object ?? ""} ${hourMinute(a)} to ${hourMinute(b)}` })));
-  const judged = verdicts.map((one) => ({ from: utc(one.from_utc), to: one.until_utc ? utc(one.until_utc) : now, safe: one.verdict === "safe", cls: "b-stop", texts: ["unsafe"], title: `${one.verdict}${one.reasons?.length ? `: ${one.reasons.join("; ")}` : ""}` }));
+  const judged = verdicts.map((one) => ({ from: utc(one.from_utc), to: one.until_utc ? utc(one.until_utc) : Math.max(utc(one.from_utc), until ?? now), safe: one.verdict === "safe", cls: "b-stop", texts: ["unsafe"], title: `${one.verdict}${one.reasons?.length ? `: ${one.reasons.join("; ")}` : ""}` }));
+  if (verdicts.length && until !== null && until < now) judged.push({ from: until, to: now, safe: false, cls: "b-gone", texts: ["not known"], title: `not known since ${hourMinute(until)}` });
   const marks = [...(report?.focus_runs ?? []).map((one) => [utc(one.started_utc), "F", "focus run"]), ...(report?.alerts ?? []).filter((one) => ["critical", "high", "medium"].includes(one.priority)).map((one) => [utc(one.raised_utc), { critical: "▲", high: "◆", medium: "▼" }[one.priority], one.cause ?? one.id])].filter(([t]) => t >= t0 && t <= t1);
   const covers = (list) => { const found = list.find((one) => at >= one.from && at <= one.to); return found && (found.title ?? found.texts?.[0]); };
   const what = at === null ? "" : [covers(blocks) ?? covers(ahead) ?? done.find((piece) => at >= utc(piece.from_utc) && at <= utc(piece.to_utc))?.kind ?? covers(planned), covers(judged.filter((one) => !one.safe))].filter(Boolean).join(" · ");
@@ -202,23 +206,26 @@ export function Night({ rows = [], plan = [], report = null, verdicts = [], site
 }
 
 /** One telescope of many: what was done, and what is planned. */
-function Line({ id, now, night, draw, y }) {
+function Line({ id, now, draw, y }) {
   const summary = net.value.get(id);
   const entry = useTopic(`tel/${id}/observatory/schedule`)?.get(`${id}/observatory/schedule/state`);
   const rows = entry?.body.rows ?? NONE;
-  const report = useReport(id, night).data;
+  const answer = useReport(id, tonight(summary));
+  const report = answer.data;
   const done = useMemo(() => (report?.timeline ? blocksOf(report.timeline, rows) : null), [report, rows]);
   const silent = summary && !standing(summary).fresh;
   const ahead = rows.filter((row) => ["pending", "running", "interrupted"].includes(row.status) && utc(row.end_utc) > now).map((row) => ({ from: Math.max(now, utc(row.start_utc)), to: utc(row.end_utc), cls: silent ? "b-gone" : "b-next", texts: [silent ? "not known" : words(row.object ?? row.action)],
     title: `${row.action} ${row.object ?? ""} ${hourMinute(row.start_utc)} to ${hourMinute(row.end_utc)}` }));
   // Without a report of the archive the windows of finished rows stand for what was done.
-  const past = done ?? rows.filter((row) => row.status === "finished" && row.object).map((row) => ({ from: utc(row.start_utc), to: Math.min(now, utc(row.end_utc)), cls: "b-plan", texts: [words(row.object)], title: `${row.object}, ${row.status}` }));
+  const past = done ? [...done] : rows.filter((row) => row.status === "finished" && row.object).map((row) => ({ from: utc(row.start_utc), to: Math.min(now, utc(row.end_utc)), cls: "b-plan", texts: [words(row.object)], title: `${row.object}, ${row.status}` }));
+  const read = report && answer.worth !== "fresh" ? answeredAt(answer) : now;
+  if (read < now) past.push({ from: read, to: now, cls: "b-gone", texts: ["not known"], title: `what was done is not known since ${hourMinute(read)}` });
   return html`<g data-testid="night-line" data-of=${id}>${bands(draw.t0, draw.t1, siteOf(summary), draw.X, y, 22)}${lane([...past, ...ahead], draw.X, [draw.t0, draw.t1], y + 1)}</g>`;
 }
 const NONE = [];
 
 /** The night of all telescopes, one below the other: `telescopes` are their summaries; what each did is read when this comes into view. */
-export function Nights({ telescopes, now, night }) {
+export function Nights({ telescopes, now }) {
   const place = useRef(null);
   const hover = useSignal(null);
   const seen = useSignal(false);
@@ -240,7 +247,7 @@ export function Nights({ telescopes, now, night }) {
   const draw = { t0, t1, X: (t) => left + ((t - t0) / (t1 - t0)) * (W - left - 4) };
   const H = telescopes.length * 26 + FOOT;
   return html`<div class="tl look" tabindex="0" role="group" aria-label="The night of all telescopes; the table says what each does. Arrow keys move the cursor, plus and minus zoom, 0 shows all." onKeyDown=${view.press}><div ref=${place} class="touch" style=${{ minHeight: `${H}px` }}><ul class="names" style=${{ width: `${left - 8}px` }}>${telescopes.map((one) => html`<li key=${one.id}><a class="cut" href=${`/t/${one.id}`}>${one.telescope_id}</a></li>`)}</ul>
-    ${seen.value && html`<svg viewBox=${`0 0 ${W} ${H}`} height=${H}>${telescopes.map(({ id }, i) => html`<${Line} key=${id} id=${id} now=${now} night=${night} draw=${draw} y=${i * 26} />`)}
+    ${seen.value && html`<svg viewBox=${`0 0 ${W} ${H}`} height=${H}>${telescopes.map(({ id }, i) => html`<${Line} key=${id} id=${id} now=${now} draw=${draw} y=${i * 26} />`)}
     ${ticks(t0, t1, W - left).map((t) => html`<text key=${t} x=${draw.X(t)} y=${H - 4} text-anchor="middle">${hourMinute(t)}</text>`)}<text x="0" y=${H - 4}>UTC</text>
     ${hover.value !== null && hover.value >= t0 && hover.value <= t1 && html`<path class="cur" d=${`M${draw.X(hover.value)} 0V${H - FOOT}`} />`}${now >= t0 && now <= t1 && html`<path class="now" d=${`M${draw.X(now)} 0V${H - FOOT}`} />`}</svg>`}</div>
     <${TimeTools} view=${view} at=${hover.value} id=${null} /></div>`;

@@ -1,6 +1,7 @@
 // Pieces that many pages show: icons, words, ages, values, cards. Their looks are those of starmesh.css.
 import { Component, computed, html, useEffect, useRef, useSignal } from "./lib.js";
-import { clock, duration } from "./format.js";
+import { clock, duration, hourMinute } from "./format.js";
+import { elapsed } from "./elapsed.js";
 import { link, quality, skyNow, skySpeed, tick } from "./store.js";
 
 export const Icon = ({ name, cls = "" }) => html`<svg class=${`i ${cls}`} aria-hidden="true"><use href=${`#i-${name}`} /></svg>`;
@@ -21,7 +22,7 @@ export function Counts({ counts, cls = "" }) {
 }
 
 /** Age of a summary, s; null before its first message. */
-export const summaryAge = (summary) => (summary.age_s === null || summary.age_s === undefined ? null : summary.age_s + (performance.now() - summary.received) / 1000);
+export const summaryAge = (summary) => (summary.age_s === null || summary.age_s === undefined ? null : summary.age_s + (elapsed() - summary.received) / 1000);
 
 /** How a summary stands now: its quality is judged here too, because messages stop coming when the link is lost. */
 function judge(summary) {
@@ -148,6 +149,9 @@ export function Age({ s, worth, never = "not received yet", after = "" }) {
   return html`<span class="age" data-quality=${worth} data-age-s=${Math.floor(s)}>${words}${duration(s)}${after}${after && realTime()}</span>`;
 }
 
+/** A word that no longer comes: what it was, since when it is not known, and its age; `state` as of `stateOf`. */
+export const Was = ({ state, word }) => html`<span data-testid="was"><span class="ink-stale">was ${word}; not known since ${hourMinute(state.until)}</span> <${Age} s=${state.age} worth=${state.worth} after=" ago" /></span>`;
+
 /** A value with its name and unit. `worth` is its quality; what is lost is a dash. */
 export function Stat({ name, value, unit, worth = "fresh", sub, lg, level }) {
   const gone = value === null || value === undefined || value === "" || worth === "lost";
@@ -175,9 +179,18 @@ export function Card({ name, end, flush, cls = "", children, testid, label }) {
 /** Nothing yet, none, or broken: never an empty panel without a reason. */
 export const Empty = ({ icon = "info", title: head, children, hatch }) => html`<div class=${`empty ${hatch ? "hatch" : ""}`}><${Icon} name=${icon} /><b>${head}</b>${children && html`<span>${children}</span>`}</div>`;
 
+/** Sky time of the answer that a GET still shows, ms; of now while it is fresh. */
+export const answeredAt = (of) => (of.worth === "fresh" || of.at === null ? skyNow() : skyNow() - (elapsed() - of.at) * skySpeed());
+
+/** In the head of a card: of when the answer of a GET is, unless it is the newest. Nothing before the first answer. */
+export const Old = ({ of }) => of.data !== null && of.worth !== "fresh" && html`<span class="ink-stale" data-testid="old">of ${hourMinute(answeredAt(of))}${of.error ? ", could not be read again" : ""}</span>`;
+
+/** What an answer of the archive leaves out, and why. */
+export const Cut = ({ of }) => of?.truncated === true && Array.isArray(of.rows) && html`<p class="note p3" data-testid="cut"><span class="grow">${of.cut ? `Not all could be read: ${of.cut}` : `There are older ones: these are the newest ${of.rows.length}.`}</span></p>`;
+
 /** What a GET gave: `children(data)` once there is something, else why there is nothing yet. */
 export function Loaded({ of, what, children }) {
-  if (of.data !== null) return html`${of.error && html`<p class="note p3"><span class="grow"><b>${what} could not be read again.</b> ${of.error.message} What you see is older.</span></p>`}${children(of.data)}`;
+  if (of.data !== null) return html`${of.error && html`<p class="note p3"><span class="grow"><b>${what} could not be read again.</b> ${of.error.message} What you see is of ${hourMinute(answeredAt(of))}.</span></p>`}<${Cut} of=${of.data} />${children(of.data)}`;
   if (of.error) return html`<${Empty} icon="warn" title=${`${what} cannot be read`} hatch>${of.error.message} <button class="btn sm soft" onClick=${of.again}>Try again</button><//>`;
   return html`<p class="m">Reading ${what} …</p>`;
 }

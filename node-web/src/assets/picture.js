@@ -1,4 +1,6 @@
 // The last picture of the telescopes, kept in this browser: what a page shows, as old, when it opens and no server answers.
+import { elapsed } from "./elapsed.js";
+
 const STORE = "picture";
 const KEY = "/picture";
 /** Has the session ended? Then the page keeps nothing more until it is loaded again. */
@@ -13,7 +15,7 @@ const asMaps = (_, value) => (Array.isArray(value?.map) && Object.keys(value).le
 export async function keepPicture(picture) {
   if (over) return;
   try {
-    await (await store())?.put(KEY, new Response(JSON.stringify({ ...picture, kept: Date.now(), page: performance.now() }, asLists), { headers: { "Content-Type": "application/json" } }));
+    await (await store())?.put(KEY, new Response(JSON.stringify({ ...picture, kept: Date.now(), page: elapsed() }, asLists), { headers: { "Content-Type": "application/json" } }));
   } catch { /* no room: the page works without */ }
 }
 
@@ -23,7 +25,7 @@ export async function lastPicture() {
     const found = await (await store())?.match(KEY);
     if (!found) return null;
     const picture = JSON.parse(await found.text(), asMaps);
-    return { ...picture, shift: performance.now() - (Date.now() - picture.kept) - picture.page };
+    return { ...picture, shift: elapsed() - (Date.now() - picture.kept) - picture.page };
   } catch {
     return null;
   }

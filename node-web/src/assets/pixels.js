@@ -14,16 +14,16 @@ export class Tiles {
   /** The numbers of a tile: `{ width, height, values }`, or null where there is none. */
   get(z, x, y) {
     const key = `${z}/${x}/${y}`;
-    if (!this.known.has(key)) this.known.set(key, this.read(key));
+    // What was not got is asked for again by whoever asks next.
+    if (!this.known.has(key)) this.known.set(key, this.read(key).catch((error) => { this.known.delete(key); throw error; }));
     return this.known.get(key);
   }
 
   async read(key) {
-    const response = await fetch(`${this.address}/${key}`);
+    const response = await fetch(`${this.address}/${key}`).catch(() => { throw new Error("The server does not answer."); });
     if (response.status === 404) return null;
     if (!response.ok) {
       const problem = await response.json().catch(() => null);
-      this.known.delete(key);
       throw new Error(problem?.detail ?? `The server answered ${response.status}.`);
     }
     const number = (name) => { const text = response.headers.get(name); return text === null ? null : Number(text); };

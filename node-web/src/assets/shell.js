@@ -1,11 +1,12 @@
 // What surrounds every page: the rail of telescopes, the clock, the worst alert, the bar of a phone.
 import { html, useEffect, useRef } from "./lib.js";
 import { CloseButton, Closing } from "./close.js";
-import { clock, day, duration } from "./format.js";
+import { clock, day, duration, nightDay } from "./format.js";
 import { inputWords } from "./inputs.js";
 import { choose, theme } from "./look.js";
 import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Simulated, Words, isCalm, postureIcon, realTime, standing, summaryAge, totals, urgency } from "./parts.js";
 import { route } from "./route.js";
+import { nightsOf } from "./site.js";
 import { fault, link, lostAt, net, roundTrip, skyNow, skySpeed, tick, version } from "./store.js";
 import { leave, me } from "./user.js";
 
@@ -75,16 +76,17 @@ function Top({ title }) {
   tick.value; // eslint-disable-line no-unused-expressions
   const sky = skyNow();
   const { id, site } = route.value;
+  const nights = nightsOf([...net.value.values()].filter((one) => (id ? one.id === id : !one.shared)));
   const words = { live: `live${roundTrip.value === null ? "" : `, ${Math.round(roundTrip.value)} ms`}`, lost: "LINK LOST", connecting: "connecting" }[link.value];
   return html`<header class="top"><div class="crumbs grow">${id ? html`<a href="/">${site}</a> <b class="cut">${title}</b>` : html`<b class="cut">${title}</b>`}</div>
     <div class="clock"><b data-testid="utc">${sky === null ? "--:--:--" : clock(sky)}</b><span>UTC${link.value === "lost" ? " ?" : ""}${skySpeed() !== 1 && sky !== null ? ` × ${skySpeed()}` : ""}</span></div>
-    ${sky !== null && html`<div class="clock opt"><span>${nightName(sky)}</span></div>`}<span class="sep"></span>
+    ${nights.length > 0 && html`<div class="clock opt"><span data-testid="night-name">${nightName(nights)}</span></div>`}<span class="sep"></span>
     <span class="linkstate opt" data-link=${link.value} data-testid="link">${words}</span>
     <a class="counts" href="/alerts" aria-label="Alerts"><${Counts} counts=${totals([...net.value.values()])} /></a><${NextTheme} /></header>`;
 }
 
-/** `night of 20 Nov`, named by its evening: UTC noon divides. */
-export const nightName = (utc) => `night of ${day(utc - 12 * 3600e3).split(" ").slice(1).join(" ")}`;
+/** `night of 20 Nov`, named by its evening. */
+const nightName = (nights) => `night of ${nights.map((night) => nightDay(night).split(" ").slice(1).join(" ")).join(" / ")}`;
 
 /** The worst that needs somebody, of all telescopes: what the bar at the top says, and whose Close it has; null while it says that there is no link. */
 export function worst() {

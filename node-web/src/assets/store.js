@@ -1,4 +1,5 @@
-// The live socket, and what it has sent: a mirror of what the web node receives. Times are this browser's monotonic milliseconds.
+// The live socket, and what it has sent: a mirror of what the web node receives. Times are this browser's monotonic milliseconds, sleep included (`elapsed`).
+import { elapsed, sleptMs } from "./elapsed.js";
 import { computed, signal, useEffect } from "./lib.js";
 import { keepPicture, lastPicture } from "./picture.js";
 import { forgetUser } from "./user.js";
@@ -21,6 +22,8 @@ export const told = signal(false);
 export const tick = signal(0);
 
 const SILENT_MS = 3000;
+/** What the socket brings after a pause of so long was on its way while the machine slept. */
+const ASLEEP_MS = 30_000;
 const RESUMABLE = /^(log|frames)/;
 const KEPT_EVENTS = 600;
 /** A server that takes a connection and says nothing is given up after this. */
@@ -34,25 +37,52 @@ let tries = 0;
 let retry = 0;
 let pinged = 0;
 let session = "";
-/** Topic -> { users, data: signal, seq }. */
+let slept = sleptMs();
+/** Topic -> { users, data: signal, seq, idle }; idle where all who showed it have left. */
 const topics = new Map();
+const NO_TOPIC = { users: 0, data: signal(null), seq: null, idle: false };
+/** Topics that the server has refused: it takes only so many at a time. They are asked for again when there is room. */
+const refused = new Set();
+/** How many topics the server takes; it tells that itself. */
+let most = 200;
+/** Topics of one message, which may not be too long. */
+const SUB_AT_ONCE = 50;
 /** Topics that were left, newest last, with what they had: pages that a person looked at open without the server, too. */
 const left = new Map();
 
 /** Opens the socket and keeps it open. */
 export function start() {
   connect();
+  const look = () => {
+    if (woke()) tick.value += 1;
+    else if (elapsed() - received > (link.value === "live" ? SILENT_MS : CONNECTS_MS) && socket) lose();
+  };
   setInterval(() => {
-    if (performance.now() - received > (link.value === "live" ? SILENT_MS : CONNECTS_MS) && socket) lose();
+    look();
     tick.value += 1;
     if (tick.value % KEEP_EVERY_S === 2) keep();
     if (tick.value % 10 === 1 && socket?.readyState === WebSocket.OPEN) {
-      pinged = performance.now();
+      pinged = elapsed();
       socket.send(JSON.stringify({ op: "ping" }));
     }
   }, 1000);
   addEventListener("online", () => socket === null && connect());
-  document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && keep());
+  addEventListener("pageshow", look);
+  document.addEventListener("visibilitychange", () => {
+    look();
+    if (document.visibilityState === "hidden") keep();
+  });
+}
+
+/** Has the machine slept? Then all is old at once, also what the socket still brings, and another socket is opened. */
+function woke() {
+  const isNew = sleptMs() !== slept || (link.value === "live" && elapsed() - received > ASLEEP_MS);
+  if (!isNew) return false;
+  slept = sleptMs();
+  tries = 0;
+  if (socket) lose();
+  else connect();
+  return true;
 }
 
 /** Keeps what is shown, for a page that opens without the server. */
@@ -79,7 +109,8 @@ async function restore() {
 }
 
 /** Sky time now, ms since 1970, ticking with the server's clock; null before the first message. */
-export const skyNow = () => sky && sky.utc + (performance.now() - sky.at) * sky.speed;
+export const skyNow = () => skyAt(elapsed());
+const skyAt = (at) => sky && sky.utc + (at - sky.at) * sky.speed;
 /** Sky seconds per second. */
 export const skySpeed = () => sky?.speed ?? 1;
 
@@ -91,7 +122,7 @@ export const moment = computed(() => {
 });
 
 /** Age of something received, s. */
-export const ageOf = (entry) => (performance.now() - entry.since) / 1000;
+export const ageOf = (entry) => (elapsed() - entry.since) / 1000;
 /** The same by the sky's clock, for what counts down in sky time. */
 export const skyAgeOf = (entry) => ageOf(entry) * skySpeed();
 
@@ -111,28 +142,66 @@ export function useTopic(name) {
   const entry = entryOf(name);
   useEffect(() => {
     if (!name) return undefined;
-    entry.users += 1;
-    if (entry.users === 1) send({ op: "sub", topics: [name] });
+    // To make room it may have been ended since it was drawn.
+    const mine = topics.get(name) ?? entry;
+    topics.set(name, mine);
+    mine.users += 1;
+    mine.idle = false;
+    if (mine.users === 1) join(name);
     return () => {
-      entry.users -= 1;
+      mine.users -= 1;
+      mine.idle = mine.users === 0;
       // A page that is left for another of the same telescope keeps its topic.
-      setTimeout(() => {
-        if (entry.users > 0 || topics.get(name) !== entry) return;
-        topics.delete(name);
-        left.delete(name);
-        left.set(name, entry.data.peek());
-        if (left.size > KEPT_TOPICS || entry.data.peek() === null) left.delete(entry.data.peek() === null ? name : left.keys().next().value);
-        send({ op: "unsub", topics: [name] });
-      }, 2000);
+      setTimeout(() => leave(name, mine) && joinRefused(), 2000);
     };
   }, [name]);
   return entry.data.value;
 }
 
 function entryOf(name) {
+  if (!name) return NO_TOPIC;
   // What was left is shown again only as old; a server that answers sends it anew.
-  if (!topics.has(name)) topics.set(name, { users: 0, data: signal(link.peek() === "lost" ? left.get(name) ?? null : null), seq: null });
+  if (!topics.has(name)) topics.set(name, { users: 0, data: signal(link.peek() === "lost" ? left.get(name) ?? null : null), seq: null, idle: false });
+  topics.get(name).idle = false;
   return topics.get(name);
+}
+
+/** For how many more topics there is room at the server, of which one is `net`; below zero it has refused some or will. */
+const room = () => most - 1 - (topics.size - refused.size);
+
+/** Subscribes to a topic; where the server has no room, what nobody shows any more goes first. */
+function join(name) {
+  refused.delete(name);
+  const ended = room() < 0 ? [...topics].filter(([other, entry]) => leave(other, entry)) : [];
+  subscribe([name]);
+  if (ended.length) joinRefused();
+}
+
+/** Asks again for what was refused, as far as there is room. */
+function joinRefused() {
+  const again = [...refused].filter((name) => topics.get(name).users > 0).slice(0, Math.max(0, room()));
+  for (const name of again) refused.delete(name);
+  subscribe(again);
+}
+
+/** Ends a topic that nobody shows any more. */
+function leave(name, entry) {
+  if (!entry.idle || topics.get(name) !== entry) return false;
+  topics.delete(name);
+  left.delete(name);
+  left.set(name, entry.data.peek());
+  if (left.size > KEPT_TOPICS || entry.data.peek() === null) left.delete(entry.data.peek() === null ? name : left.keys().next().value);
+  if (!refused.delete(name)) send({ op: "unsub", topics: [name] });
+  return true;
+}
+
+/** Sends topics; what was received of one before an interruption is not sent again. */
+function subscribe(names) {
+  for (let i = 0; i < names.length; i += SUB_AT_ONCE) {
+    const part = names.slice(i, i + SUB_AT_ONCE);
+    const seq = Object.fromEntries(part.filter((name) => RESUMABLE.test(name) && (topics.get(name)?.seq ?? null) !== null).map((name) => [name, topics.get(name).seq]));
+    send({ op: "sub", topics: part, ...(session && Object.keys(seq).length && { resume: { session, seq } }) });
+  }
 }
 
 function send(message) {
@@ -143,17 +212,17 @@ function connect() {
   clearTimeout(retry);
   const opened = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/v1/ws`);
   socket = opened;
-  received = performance.now();
+  received = elapsed();
   opened.onopen = () => {
-    const wanted = [...topics].filter(([, entry]) => entry.users > 0);
-    const resume = Object.fromEntries(wanted.filter(([name, entry]) => RESUMABLE.test(name) && entry.seq !== null).map(([name, entry]) => [name, entry.seq]));
-    const message = { op: "sub", topics: ["net", ...wanted.map(([name]) => name)] };
-    if (session && Object.keys(resume).length) message.resume = { session, seq: resume };
-    opened.send(JSON.stringify(message));
+    if (opened !== socket) return;
+    const wanted = [...topics].filter(([, entry]) => entry.users > 0).map(([name]) => name);
+    refused.clear();
+    for (const name of wanted.slice(most - 1)) refused.add(name);
+    subscribe(["net", ...wanted.slice(0, most - 1)]);
   };
   opened.onmessage = (event) => {
-    if (opened !== socket) return;
-    const now = performance.now();
+    if (opened !== socket || woke()) return;
+    const now = elapsed();
     try {
       take(JSON.parse(event.data), now);
     } catch (error) {
@@ -180,7 +249,7 @@ function lose() {
   socket = null;
   old?.close();
   forgetUser();
-  if (link.value === "live") lostAt.value = skyNow();
+  if (link.value === "live") lostAt.value = skyAt(received);
   if (!net.peek().size) restore();
   link.value = link.value === "connecting" && tries < 2 ? "connecting" : "lost";
   const wait = Math.min(8000, 500 * 2 ** tries) * (0.7 + 0.6 * Math.random());
@@ -194,9 +263,15 @@ function take(message, now) {
   if (message.at_utc) sky = { utc: Date.parse(message.at_utc), at: now, speed: data?.speed ?? sky?.speed ?? 1 };
   if (op === "welcome") {
     version.value = data.version;
+    most = data.most_topics ?? most;
+    // Numbers of another session say nothing in this one.
+    if (session !== (data.session ?? "")) for (const entry of topics.values()) entry.seq = null;
     session = data.session ?? "";
   } else if (op === "pong") roundTrip.value = now - pinged;
-  else if (op === "err") console.warn(data?.detail);
+  else if (op === "err") {
+    if (!topics.has(topic) || room() >= 0) console.warn(data?.detail);
+    if (topics.has(topic)) refused.add(topic);
+  }
   else if (topic === "net") {
     if (op === "snap") told.value = true;
     if (op === "snap" || data.items || data.gone) net.value = items(net.value, op, data, now);
@@ -207,7 +282,7 @@ function take(message, now) {
     const entry = topics.get(topic);
     if (message.seq !== undefined) entry.seq = message.seq;
     if (topic.startsWith("tel/")) entry.data.value = states(entry.data.value, op, data, now);
-    else if (RESUMABLE.test(topic)) entry.data.value = events(entry.data.value, op, data);
+    else if (RESUMABLE.test(topic)) entry.data.value = events(topic, entry.data.value, op, data, message.at_utc);
     else entry.data.value = items(entry.data.value ?? new Map(), op, data, now);
   }
 }
@@ -229,8 +304,11 @@ function states(before, op, data, now) {
   return after;
 }
 
-function events(before, op, data) {
-  if (op === "gap") return before;
-  const list = op === "snap" ? data : [...data, ...(before ?? [])];
+/** A line in the place of those that were written while the link was cut, and that the server has no longer; no condition of a search hides it. */
+const hole = (at_utc) => ({ gap: true, at_utc, number: Number.MAX_SAFE_INTEGER, level: "warn", node: "web", message: "Lines are missing here; the archive has them." });
+
+function events(topic, before, op, data, at) {
+  if (op === "gap" && !topic.startsWith("log")) return before;
+  const list = op === "snap" ? data : [...(op === "gap" ? [hole(before?.[0]?.at_utc ?? at)] : data), ...(before ?? [])];
   return [...list].sort((a, b) => (a.at_utc < b.at_utc ? 1 : a.at_utc > b.at_utc ? -1 : (b.number ?? 0) - (a.number ?? 0))).slice(0, KEPT_EVENTS);
 }

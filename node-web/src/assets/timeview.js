@@ -1,7 +1,7 @@
 // Looking around in time, the same on the timeline and on every chart: dragged sideways, zoomed by two fingers, by the wheel with Ctrl (or with
 // the focus there) and by keys, with buttons for those who do none of it; and from any moment to the log lines of that minute.
 import { html, useEffect, useRef, useSignal } from "./lib.js";
-import { clock } from "./format.js";
+import { clockOn } from "./format.js";
 import { Icon } from "./parts.js";
 import { route } from "./route.js";
 
@@ -119,5 +119,5 @@ function inside([a, b], from, to) {
 /** Buttons below what is looked at, the moment of the cursor in words, and the way to its log; `end` is one more, and `hint` stands there without a moment. */
 export function TimeTools({ view, at, pick = null, what = "", id = route.value.id, end = null, hint = `Drag to look around; ${id ? "touch a moment for its log" : "touch a name to go there"}.` }) {
   return html`<div class="time-tools"><span class="seg" role="group" aria-label="Time shown"><button type="button" aria-label="Show more time" disabled=${!view.zoomed} onClick=${() => view.zoom(1 / STEP)}>−</button><button type="button" aria-label="Show less time" onClick=${() => view.zoom(STEP)}>+</button><button type="button" disabled=${!view.zoomed} onClick=${view.whole}>All</button></span>
-    <span class="m grow cut">${at ? html`<b>${clock(at)}</b> ${what}` : html`<span class="desk">${hint}</span>`}</span>${pick && id && html`<a class="btn sm soft" data-testid="log-here" href=${`/t/${id}/log?at=${encodeURIComponent(new Date(Math.round(pick)).toISOString())}`} aria-label=${`Log of the minute around ${clock(pick)}`}><${Icon} name="log" /><span>Log of ${clock(pick)}</span></a>`}${end}</div>`;
+    <span class="m grow cut">${at ? html`<b>${clockOn(view.t1 - view.t0, at)}</b> ${what}` : html`<span class="desk">${hint}</span>`}</span>${pick && id && html`<a class="btn sm soft" data-testid="log-here" href=${`/t/${id}/log?at=${encodeURIComponent(new Date(Math.round(pick)).toISOString())}`} aria-label=${`Log of the minute around ${clockOn(view.t1 - view.t0, pick)}`}><${Icon} name="log" /><span>Log of ${clockOn(view.t1 - view.t0, pick)}</span></a>`}${end}</div>`;
 }

@@ -29,8 +29,9 @@ function grid(wcs, width, height) {
   return lines;
 }
 
-/** `tiles`: a `Tiles`; `stretch`: black and white in numbers of tiles, curve, invert; `layers`: a set of `grid`, `target`. */
-export function Viewer({ tiles, width, height, stretch, zoom, layers, wcs, target, onError }) {
+/** `tiles`: a `Tiles`; `stretch`: black and white in numbers of tiles, curve, invert; `layers`: a set of `grid`, `target`. `onRead` is told why tiles are missing, null where none is;
+    another `again` asks for those. */
+export function Viewer({ tiles, width, height, stretch, zoom, layers, wcs, target, again, onRead }) {
   const place = useRef(null);
   const canvas = useRef(null);
   const view = useRef({ cx: width / 2, cy: height / 2, scale: 0 });
@@ -71,7 +72,7 @@ export function Viewer({ tiles, width, height, stretch, zoom, layers, wcs, targe
       if (map.has(name)) return;
       const tile = await tiles.get(z, x, y);
       if (tile) map.set(name, drawn(tile, table, tiles.blank));
-    })).catch((error) => onError?.(error));
+    })).then(() => onRead?.(null), (error) => onRead?.(error));
     const ctx = element.getContext("2d");
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     ctx.fillStyle = "#000";
@@ -96,6 +97,7 @@ export function Viewer({ tiles, width, height, stretch, zoom, layers, wcs, targe
     if (zoom === "fit") Object.assign(view.current, { cx: width / 2, cy: height / 2 });
     repaint();
   }, [zoom, tiles, JSON.stringify(stretch)]);
+  useEffect(() => repaint(), [again]);
   useEffect(() => {
     const observer = new ResizeObserver(repaint);
     observer.observe(place.current);

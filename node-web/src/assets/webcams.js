@@ -1,6 +1,7 @@
 // Pictures of webcams and all-sky cameras, which this browser fetches from their own servers while somebody looks at them.
 import { html, useEffect, useLayoutEffect, useRef, useSignal } from "./lib.js";
 import { useShared } from "./api.js";
+import { elapsed } from "./elapsed.js";
 import { Age, Card, Dialog } from "./parts.js";
 import { link, quality, tick } from "./store.js";
 
@@ -46,17 +47,17 @@ function usePicture(webcam, place, watched) {
       failed.value = why;
     };
     const look = () => {
-      const passed = performance.now() - begun;
+      const passed = elapsed() - begun;
       if (coming && passed > patience) end("its server does not answer");
       const wait = failed.peek() ? Math.min(period, AGAIN_S * 1000) : period;
       if (coming || passed < wait - LOOK_MS / 2 || document.visibilityState !== "visible" || !(isInView || watched())) return;
-      begun = performance.now();
+      begun = elapsed();
       const image = new Image();
       coming = image;
       image.alt = webcam.name;
       image.onload = () => {
         if (!image.naturalWidth) return end("what its server gives is no picture");
-        picture.value = { element: image, at: performance.now() };
+        picture.value = { element: image, at: elapsed() };
         end("");
       };
       image.onerror = () => end("its server gives no picture, or cannot be reached from here");
@@ -91,7 +92,7 @@ function Webcam({ webcam }) {
   const place = useRef(null);
   const large = useSignal(false);
   const { picture, failed } = usePicture(webcam, place, () => large.peek());
-  const age = picture && (performance.now() - picture.at) / 1000;
+  const age = picture && (elapsed() - picture.at) / 1000;
   const judged = quality(age, webcam.period_s);
   const worth = judged === "fresh" && failed ? "stale" : judged;
   const name = webcam.name;

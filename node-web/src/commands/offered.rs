@@ -50,12 +50,12 @@ pub async fn catalog(
     Path((site, telescope)): Path<(String, String)>,
 ) -> Result<Response, Problem> {
     let address = known(&server.network, &site, &telescope)?;
-    let now = server.network.clock().machine();
+    let (now, utc) = (server.network.clock().machine(), server.network.clock().utc());
     let model = server.network.read();
     let Some(telescope) = model.telescopes.get(&address) else {
         return Err(Problem::not_found("It has just been forgotten."));
     };
-    let summary = Summary::of(&model, &address, telescope, now);
+    let summary = Summary::of(&model, &address, telescope, now, utc);
     let offered = ORDERS.iter().map(|form| OrderOffered {
         command: form.word,
         meaning: form.meaning,
@@ -64,7 +64,7 @@ pub async fn catalog(
         closes: form.closes,
         needs_reason: form.needs_reason,
         parameters: form.schema(),
-        against: against(form, &address, telescope, &summary, (&caller.name, server.network.clock().utc())),
+        against: against(form, &address, telescope, &summary, (&caller.name, utc)),
     });
     Ok((NEVER_CACHED, Json(offered.collect::<Vec<_>>())).into_response())
 }

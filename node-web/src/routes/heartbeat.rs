@@ -25,7 +25,7 @@ use crate::json_body::AskedFor;
 use crate::model::{Model, Telescope};
 use crate::problem::Problem;
 use crate::server::Server;
-use crate::summary::{Mode, SafetyWord, StoppedTelescope, Summary};
+use crate::summary::{Face, Mode, SafetyWord, Summary};
 
 /// One document serves all clients that ask within this time.
 const VALID_FOR: Duration = Duration::from_millis(250);
@@ -91,22 +91,76 @@ pub fn document(
     now: MachineTime,
     utc: Utc,
 ) -> Value {
-    let is_shared = |address: &Address| address.telescope.as_str() == Address::SHARED;
-    let wanted: Vec<(&Address, &Telescope)> = match wanted {
+    let found: Vec<(&Address, &Telescope)> = match wanted {
         Some(address) => model.telescopes.get_key_value(address).into_iter().collect(),
-        None => model.telescopes.iter().filter(|(address, _)| !is_shared(address) && may_see(address)).collect(),
+        None => model.telescopes.iter().filter(|(address, _)| may_see(address)).collect(),
     };
-    let documents: Vec<(&Address, Map<String, Value>, Posture)> = wanted
+    let summed: Vec<(&Address, &Telescope, Summary)> = found
         .into_iter()
-        .map(|(address, telescope)| {
-            let summary = Summary::of(model, address, telescope, now);
-            (address, one(address, telescope, model, &summary, usage, utc), summary.face.posture)
+        .map(|(address, telescope)| (address, telescope, Summary::of(model, address, telescope, now, utc)))
+        .collect();
+    // What a site shares has a document of its own only where it is asked for.
+    let (shared, telescopes): (Vec<_>, Vec<_>) =
+        summed.iter().partition(|(.., summary)| wanted.is_none() && summary.face.shared);
+    let documents: Vec<(&Address, Map<String, Value>, Posture)> = telescopes
+        .into_iter()
+        .map(|(address, telescope, summary)| {
+            (*address, one(address, telescope, model, summary, usage, utc), summary.face.posture)
         })
         .collect();
-    match documents.as_slice() {
-        [(_, document, _)] => Value::Object(document.clone()),
-        several => Value::Object(all(several, usage, utc)),
+    let mut document = match documents.as_slice() {
+        [(_, document, _)] => document.clone(),
+        several => all(several, usage, utc),
+    };
+    for (address, telescope, summary) in shared {
+        let alerts = summary.face.alerts_beside(summed.iter().map(|(.., other)| &other.face));
+        for (key, mut errors) in ["error_source", "returned"].into_iter().zip(told(&alerts, &[*telescope])) {
+            errors.iter_mut().for_each(|error| error["telescope_id"] = json!(address.telescope.as_str()));
+            if let Some(list) = document.get_mut(key).and_then(Value::as_array_mut) {
+                list.append(&mut errors);
+            }
+        }
     }
+    let is_error_free = document["error_source"] == json!([]);
+    document.insert("error_free".to_owned(), json!(is_error_free));
+    Value::Object(document)
+}
+
+/// Errors of now, and alerts that have cleared and are not acknowledged: these are no error of now, but a script that asks
+/// every few minutes must not miss them.
+fn told(alerts: &[Alert], telescopes: &[&Telescope]) -> [Vec<Value>; 2] {
+    let describe = |alert: &Alert| {
+        let (kind, name) = source(&alert.id, telescopes);
+        json!({ "device_type": kind, "device_name": name, "error": format!("{}: {}", alert.id, alert.cause) })
+    };
+    let (returned, active): (Vec<&Alert>, Vec<&Alert>) = alerts
+        .iter()
+        .filter(|alert| alert.priority != Priority::Advisory)
+        .partition(|alert| alert.returned_utc.is_some());
+    [active.into_iter().map(describe).collect(), returned.into_iter().map(describe).collect()]
+}
+
+/// What is wrong with a telescope besides its alerts: its observatory node is silent or publishes no verdict, or safety and
+/// posture together are urgent. One that was stopped and closed is no error.
+fn fault(face: &Face) -> Option<String> {
+    let stale = face.quality != Quality::Fresh;
+    match &face.stopped {
+        Some(stopped) if stopped.is_closed() => return None,
+        Some(stopped) if stale => return Some(format!("stale: {}", stopped.text)),
+        Some(_) | None => {}
+    }
+    let is_urgent = face.concern.is_some_and(|concern| concern <= Priority::High);
+    let head = if stale {
+        format!("stale: {}", overview::silent(face.observatory_silent_since_utc))
+    } else if is_urgent || face.safety.state == SafetyWord::Unknown {
+        format!("safety {}", face.safety.state.word())
+    } else {
+        return None;
+    };
+    let reasons =
+        face.safety.reasons.iter().filter(|_| !stale).map(|reason| format!("{} {}", reason.input, reason.why));
+    let words = [head, format!("posture {}", face.posture.word())].into_iter().chain(reasons);
+    Some(words.chain(face.domes.iter().cloned()).collect::<Vec<_>>().join("; "))
 }
 
 /// The document of one telescope.
@@ -120,32 +174,10 @@ fn one(
 ) -> Map<String, Value> {
     let face = &summary.face;
     let stale = face.quality != Quality::Fresh;
-    let describe = |alert: &Alert| {
-        let (kind, name) = source(&alert.id, telescope);
-        json!({ "device_type": kind, "device_name": name, "error": format!("{}: {}", alert.id, alert.cause) })
-    };
-    // An alert that has cleared and is not acknowledged is no error of now, but a script that asks every few minutes
-    // must not miss it.
-    let (returned, active): (Vec<&Alert>, Vec<&Alert>) = face
-        .alerts
-        .iter()
-        .filter(|alert| alert.priority != Priority::Advisory)
-        .partition(|alert| alert.returned_utc.is_some());
-    let mut errors: Vec<Value> = active.into_iter().map(describe).collect();
-    let returned: Vec<Value> = returned.into_iter().map(describe).collect();
-    if stale && !face.stopped.as_ref().is_some_and(StoppedTelescope::is_closed) {
-        let error = match &face.stopped {
-            Some(stopped) => format!("stale: {}", stopped.text),
-            None => {
-                let silent = overview::silent(face.observatory_silent_since_utc);
-                let posture = format!("posture {}", face.posture.word());
-                let words: Vec<&str> = [silent.as_str(), posture.as_str()]
-                    .into_iter()
-                    .chain(face.domes.iter().map(String::as_str))
-                    .collect();
-                format!("stale: {}", words.join("; "))
-            }
-        };
+    let shared = model.telescopes.get(&address.shared());
+    let both: Vec<&Telescope> = std::iter::once(telescope).chain(shared).collect();
+    let [mut errors, returned] = told(&face.alerts, &both);
+    if let Some(error) = fault(face) {
         errors.push(json!({
             "device_type": "Observatory", "device_name": address.telescope.as_str(), "error": error,
         }));
@@ -157,7 +189,7 @@ fn one(
     let watchdog = json!({ "type": "watchdog", "device_name": "watchdog", "id": "watchdog" });
     let threads: Vec<Value> = (!stale).then_some(watchdog).into_iter().chain(actions).collect();
     let mut polling = Map::new();
-    if let Some(shared) = model.telescopes.get(&address.shared()) {
+    if let Some(shared) = shared {
         poll(&mut polling, shared);
     }
     poll(&mut polling, telescope);
@@ -271,9 +303,9 @@ fn poll(polling: &mut Map<String, Value>, telescope: &Telescope) {
 }
 
 /// The device that an alert's id names behind its cause, else the observatory itself.
-fn source(alert_id: &str, telescope: &Telescope) -> (&'static str, String) {
+fn source(alert_id: &str, telescopes: &[&Telescope]) -> (&'static str, String) {
     let named = alert_id.split('/').skip(1).find_map(|part| {
-        telescope.states.values().find_map(|entry| match &entry.key {
+        telescopes.iter().flat_map(|telescope| telescope.states.values()).find_map(|entry| match &entry.key {
             Key::State(device) if device.name.as_str() == part => Some((device.kind, part)),
             _ => None,
         })
@@ -293,5 +325,103 @@ fn object(value: Value) -> Map<String, Value> {
     match value {
         Value::Object(map) => map,
         Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) | Value::Array(_) => Map::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bus::Clock;
+
+    use super::*;
+    use crate::model::tests::received;
+    use crate::network::Network;
+
+    /// The document of these payloads, each with its path and when it came, s; 1 s after 110 s.
+    fn heartbeat(payloads: &[(&str, u64, &Value)], wanted: Option<&str>) -> Value {
+        let network = Network::new(Clock::machine_clock(), Address::new("paranal", "callisto").unwrap());
+        for (path, at_s, body) in payloads {
+            assert!(network.accept(received(&format!("paranal/{path}"), "b", 0, *at_s, Value::clone(body))), "{path}");
+        }
+        let wanted = wanted.map(|telescope| Address::new("paranal", telescope).unwrap());
+        let now = MachineTime::from_boot(Duration::from_secs(111));
+        document(&network.read(), wanted.as_ref(), |_| true, Usage::default(), now, Utc::EPOCH)
+    }
+
+    fn night(posture: &str) -> Value {
+        let mut night: Value =
+            serde_json::from_str(include_str!("../../../common/contract/golden/v1/observatory.night.json")).unwrap();
+        night["posture"] = json!(posture);
+        night
+    }
+
+    fn safety(verdict: &str) -> Value {
+        let mut safety: Value =
+            serde_json::from_str(include_str!("../../../common/contract/golden/v1/observatory.safety.json")).unwrap();
+        safety["verdict"] = json!(verdict);
+        safety
+    }
+
+    const NIGHT: &str = "callisto/observatory/night/state";
+    const SAFETY: &str = "callisto/observatory/safety/state";
+
+    fn errors(document: &Value) -> Vec<&str> {
+        let errors = document["error_source"].as_array().unwrap();
+        assert_eq!(document["error_free"], errors.is_empty(), "{document}");
+        errors.iter().map(|error| error["error"].as_str().unwrap()).collect()
+    }
+
+    #[test]
+    fn a_shared_dome_that_does_not_close_is_an_error_of_its_telescope_and_what_else_a_site_shares_one_of_the_network() {
+        let alert = |id: &str| json!({ "id": id, "priority": "critical", "raised_utc": "2026-11-21T03:00:00Z", "cause": "c", "consequence": "", "action": "" });
+        let mut station = alert("device-lost/station");
+        station["cause"] = json!("it is silent");
+        let alerts = json!({ "alerts": [alert("dome-not-closed/roof"), station] });
+        let guard: Value =
+            serde_json::from_str(include_str!("../../../common/contract/golden/v1/dome.guard.json")).unwrap();
+        let dome: Value =
+            serde_json::from_str(include_str!("../../../common/contract/golden/v1/dome.state.json")).unwrap();
+        let (night, safety) = (night("closed"), safety("safe"));
+        let payloads = [
+            (NIGHT, 110, &night),
+            (SAFETY, 110, &safety),
+            ("shared/node/device/enclosure/alerts", 110, &alerts),
+            ("shared/device/dome/roof/guard", 110, &guard),
+            ("shared/device/dome/roof/state", 110, &dome[0]),
+        ];
+        let own = heartbeat(&payloads, Some("callisto"));
+        assert_eq!(errors(&own), ["dome-not-closed/roof: c"]);
+        assert_eq!((&own["error_source"][0]["device_type"], &own["stale"]), (&json!("Dome"), &json!(false)));
+        let network = heartbeat(&payloads, None);
+        assert_eq!(errors(&network), ["dome-not-closed/roof: c", "device-lost/station: it is silent"]);
+        assert_eq!(network["error_source"][1]["telescope_id"], "shared");
+        let several = heartbeat(&[&payloads[..], &[("io/observatory/night/state", 110, &night)]].concat(), None);
+        let of_shared = |error: &&Value| error["telescope_id"] == "shared";
+        assert_eq!(several["error_source"].as_array().unwrap().iter().filter(of_shared).count(), 1, "{several}");
+        assert!(several["telescopes"]["callisto"].is_object() && several["telescopes"]["shared"].is_null());
+    }
+
+    #[test]
+    fn open_while_it_is_unsafe_is_an_error_and_closed_is_none() {
+        let told = |posture, verdict| {
+            let (night, safety) = (night(posture), safety(verdict));
+            let document = heartbeat(&[(NIGHT, 110, &night), (SAFETY, 110, &safety)], None);
+            errors(&document).iter().map(|error| (*error).to_owned()).collect::<Vec<_>>()
+        };
+        assert!(told("closed", "unsafe").is_empty() && told("open", "safe").is_empty());
+        let [open] = &told("open", "unsafe")[..] else { panic!("one error") };
+        assert!(open.starts_with("safety unsafe; posture open; wx/Humidity 71.2 %"), "{open}");
+    }
+
+    #[test]
+    fn a_verdict_that_is_no_longer_published_is_an_error_while_the_night_still_is() {
+        let (night, safety) = (night("closed"), safety("safe"));
+        let document = heartbeat(&[(NIGHT, 110, &night), (SAFETY, 100, &safety)], None);
+        assert_eq!((&document["stale"], &document["weather_safe"]), (&json!(false), &Value::Null));
+        let found = errors(&document);
+        let [error] = found[..] else { panic!("one error: {found:?}") };
+        let words = ["safety unknown; posture closed; ", "publishes no verdict any more", "its last verdict was safe"];
+        assert!(words.iter().all(|words| error.contains(words)), "{error}");
+        let document = heartbeat(&[(NIGHT, 110, &night)], None);
+        assert_eq!(errors(&document), ["safety unknown; posture closed"], "none ever came");
     }
 }

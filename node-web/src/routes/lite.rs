@@ -25,7 +25,7 @@ pub async fn lite(State(server): State<Arc<Server>>, Extension(caller): Extensio
         return page::login();
     }
     let summaries = server.network.summaries();
-    let may_see = |summary: &&Summary| !summary.face.shared && caller.right_at(&address(summary)).is_some();
+    let may_see = |summary: &&Summary| caller.right_at(&address(summary)).is_some();
     let webcams = network::webcams(&server, &caller);
     let text = html(summaries.iter().filter(may_see), &webcams, &server.network.clock().utc().to_string());
     let named = [(header::CONTENT_TYPE, page::HTML), (header::CACHE_CONTROL, "no-store")];
@@ -37,7 +37,7 @@ fn address(summary: &Summary) -> Address {
     Address { site: site_id.clone(), telescope: telescope_id.clone() }
 }
 
-fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, webcams: &[WebcamInNetwork], now: &str) -> String {
+fn html<'a>(summaries: impl Iterator<Item = &'a Summary> + Clone, webcams: &[WebcamInNetwork], now: &str) -> String {
     let mut text = format!(
         "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><meta http-equiv=\"refresh\" content=\"{AGAIN_S}\">\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><title>Starmesh, plain</title>\
@@ -46,8 +46,18 @@ fn html<'a>(summaries: impl Iterator<Item = &'a Summary>, webcams: &[WebcamInNet
          <p>As of <b>{} UTC</b>; asked again each {AGAIN_S} s. An older page is out of date. <a href=\"/\">The whole page</a></p>",
         escaped(now.get(..19).unwrap_or(now))
     );
+    let faces = summaries.clone().map(|summary| &summary.face);
     let mut known = 0;
     for summary in summaries {
+        if summary.face.shared {
+            let alerts = summary.face.alerts_beside(faces.clone());
+            if !alerts.is_empty() {
+                let _ = write!(text, "<section class=\"card\"><h2>{}</h2>", escaped(&summary.face.id));
+                list(&mut text, alerts.iter().map(told));
+                text.push_str("</section>");
+            }
+            continue;
+        }
         known += 1;
         telescope(&mut text, summary);
         let address = address(summary);
@@ -184,5 +194,20 @@ mod tests {
         }
         let page = html(network.summaries().iter(), &[], "now");
         assert!(page.contains("stopped by starmesh up on pc, closed") && page.contains("it is half open"), "{page}");
+    }
+
+    #[test]
+    fn alerts_about_what_a_site_shares_stand_under_its_own_name() {
+        let page = |alerts: serde_json::Value| {
+            let network = Network::new(Clock::machine_clock(), Address::new("paranal", "callisto").unwrap());
+            let alerts = json!({ "alerts": alerts });
+            network.accept(received("paranal/shared/node/device/main/alerts", "b1", 0, 0, alerts));
+            html(network.summaries().iter(), &[], "now")
+        };
+        let silent = json!([{"id": "a/station", "priority": "high", "raised_utc": "2026-11-21T03:00:00Z",
+            "cause": "the station is silent", "consequence": "c", "action": "d"}]);
+        let (none, one) = (page(json!([])), page(silent));
+        assert!(!none.contains("paranal/shared"), "{none}");
+        assert!(one.contains("<h2>paranal/shared</h2><ul><li>high: the station is silent c d</li></ul>"), "{one}");
     }
 }

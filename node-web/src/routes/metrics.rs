@@ -6,19 +6,22 @@ use std::sync::Arc;
 use axum::extract::{Extension, State};
 use axum::http::header;
 use axum::response::{IntoResponse as _, Response};
+use bus::MachineTime;
 use contract::observatory::{Posture, Priority, RowStatus, ScheduleState};
-use contract::{Key, Kind, Part, Scalar};
+use contract::{Address, Key, Kind, Part, Scalar};
 use serde_json::Value;
+use units::Utc;
 use users::Principal;
 
+use crate::alerts::Counts;
 use crate::freshness::Quality;
-use crate::model::Telescope;
+use crate::model::{Model, Telescope};
 use crate::server::Server;
 use crate::summary::{Mode, SafetyWord, Summary, nodes};
 
 /// The page of metrics.
 pub async fn metrics(State(server): State<Arc<Server>>, Extension(caller): Extension<Principal>) -> Response {
-    let now = server.network.clock().machine();
+    let clock = server.network.clock();
     let mut page = Page::default();
     page.gauge("starmesh_build_info", "Version of the web node.", &[("version", env!("CARGO_PKG_VERSION"))], 1.0);
     page.gauge(
@@ -28,19 +31,33 @@ pub async fn metrics(State(server): State<Arc<Server>>, Extension(caller): Exten
         server.bus.peers().await as f64,
     );
     page.gauge("starmesh_sockets", "Pages that are open.", &[], server.sockets.taken() as f64);
-    let model = server.network.read();
-    for (address, telescope) in model.telescopes.iter().filter(|(address, _)| caller.right_at(address).is_some()) {
+    network(&mut page, &server.network.read(), &caller, clock.machine(), clock.utc());
+    (
+        [(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8"), (header::CACHE_CONTROL, "no-store")],
+        page.text(),
+    )
+        .into_response()
+}
+
+/// All telescopes that the caller may see, and what their sites share.
+fn network(page: &mut Page, model: &Model, caller: &Principal, now: MachineTime, utc: Utc) {
+    let visible = model.telescopes.iter().filter(|(address, _)| caller.right_at(address).is_some());
+    let known: Vec<(&Address, &Telescope, Summary)> = visible
+        .map(|(address, telescope)| (address, telescope, Summary::of(model, address, telescope, now, utc)))
+        .collect();
+    for (address, telescope, summary) in &known {
         let place = [("site", address.site.as_str()), ("telescope", address.telescope.as_str())];
-        let summary = Summary::of(&model, address, telescope, now);
-        if !summary.face.shared {
-            observatory(&mut page, &place, &summary);
-            let schedule = telescope.read::<ScheduleState>(&Key::Observatory(address.clone(), Part::Schedule));
+        if summary.face.shared {
+            alerts(page, &place, Counts::of(&summary.face.alerts_beside(known.iter().map(|(.., other)| &other.face))));
+        } else {
+            observatory(page, &place, summary);
+            let schedule = telescope.read::<ScheduleState>(&Key::Observatory((*address).clone(), Part::Schedule));
             if let Some((entry, schedule)) = schedule.filter(|(entry, _)| entry.quality(now) == Quality::Fresh) {
                 let _ = entry;
-                rows(&mut page, &place, &schedule);
+                rows(page, &place, &schedule);
             }
         }
-        readings(&mut page, &place, telescope, now);
+        readings(page, &place, telescope, now);
         for node in nodes(telescope, now) {
             let (role, name) = (node.state.role.word(), node.id.as_str());
             let labels = [place[0], place[1], ("role", role), ("node", name)];
@@ -67,11 +84,6 @@ pub async fn metrics(State(server): State<Arc<Server>>, Extension(caller): Exten
             }
         }
     }
-    (
-        [(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8"), (header::CACHE_CONTROL, "no-store")],
-        page.text(),
-    )
-        .into_response()
 }
 
 fn observatory(page: &mut Page, place: &[(&str, &str)], summary: &Summary) {
@@ -81,27 +93,31 @@ fn observatory(page: &mut Page, place: &[(&str, &str)], summary: &Summary) {
     if let Some(age_s) = summary.ages.age_s {
         page.gauge("starmesh_heartbeat_age_seconds", "Since the observatory node last published.", place, age_s);
     }
-    let safety = [(SafetyWord::Safe, "safe"), (SafetyWord::Unsafe, "unsafe"), (SafetyWord::Unknown, "unknown")];
+    let safety = [SafetyWord::Safe, SafetyWord::Unsafe, SafetyWord::Unknown].map(|safety| (safety, safety.word()));
     let posture = [Posture::Closed, Posture::Opening, Posture::Open, Posture::Closing, Posture::Unknown];
     let posture = posture.map(|posture| (posture, posture.word()));
     let mode = [(Mode::Robotic, "robotic"), (Mode::Manual, "manual"), (Mode::Unknown, "unknown")];
     one_of(page, "starmesh_safety_state", "The verdict: 1 at the word that holds.", place, &safety, face.safety.state);
     one_of(page, "starmesh_posture_state", "Domes: 1 at the word that holds.", place, &posture, face.posture);
     one_of(page, "starmesh_mode_state", "How it is run: 1 at the word that holds.", place, &mode, face.mode);
-    for (priority, count) in [
-        (Priority::Critical, face.alert_counts.critical),
-        (Priority::High, face.alert_counts.high),
-        (Priority::Medium, face.alert_counts.medium),
-        (Priority::Advisory, face.alert_counts.advisory),
-    ] {
-        let labels = [place[0], place[1], ("priority", priority.word())];
-        page.gauge("starmesh_alerts_active", "Active alerts.", &labels, count as f64);
-    }
+    alerts(page, place, face.alert_counts);
     if is_up {
         if let Some(time_s) = face.safety.time_to_safe_s {
             page.gauge("starmesh_time_to_safe_seconds", "Sky time until it can be safe.", place, time_s);
         }
         page.gauge("starmesh_frames", "Frames since the observatory node started.", place, face.frames as f64);
+    }
+}
+
+fn alerts(page: &mut Page, place: &[(&str, &str)], counts: Counts) {
+    for (priority, count) in [
+        (Priority::Critical, counts.critical),
+        (Priority::High, counts.high),
+        (Priority::Medium, counts.medium),
+        (Priority::Advisory, counts.advisory),
+    ] {
+        let labels = [place[0], place[1], ("priority", priority.word())];
+        page.gauge("starmesh_alerts_active", "Active alerts.", &labels, count as f64);
     }
 }
 
@@ -122,7 +138,7 @@ fn rows(page: &mut Page, place: &[(&str, &str)], schedule: &ScheduleState) {
 }
 
 /// Devices, and their readings that are numbers or yes and no.
-fn readings(page: &mut Page, place: &[(&str, &str)], telescope: &Telescope, now: bus::MachineTime) {
+fn readings(page: &mut Page, place: &[(&str, &str)], telescope: &Telescope, now: MachineTime) {
     for entry in telescope.states.values() {
         let Key::State(device) = &entry.key else { continue };
         let (kind, name) = (Kind::word(device.kind), device.name.as_str());
@@ -200,6 +216,32 @@ impl Page {
 mod tests {
     use std::collections::BTreeSet;
     use std::path::Path;
+    use std::time::Duration;
+
+    use bus::Clock;
+    use serde_json::json;
+
+    use super::*;
+    use crate::model::tests::received;
+    use crate::network::Network;
+
+    #[test]
+    fn an_alert_of_what_a_site_shares_is_counted_once() {
+        let network = Network::new(Clock::machine_clock(), Address::new("paranal", "callisto").unwrap());
+        let alert = |id: &str| json!({ "id": id, "priority": "critical", "raised_utc": "2026-11-21T03:00:00Z", "cause": id, "consequence": "", "action": "" });
+        let alerts = json!({ "alerts": [alert("dome-not-closed/roof"), alert("a/station"), alert("b/station")] });
+        let guard = serde_json::from_str(include_str!("../../../common/contract/golden/v1/dome.guard.json")).unwrap();
+        network.accept(received("paranal/shared/node/device/enclosure/alerts", "b", 0, 100, alerts));
+        network.accept(received("paranal/shared/device/dome/roof/guard", "b", 0, 100, guard));
+        let mut page = Page::default();
+        let now = MachineTime::from_boot(Duration::from_secs(101));
+        super::network(&mut page, &network.read(), &Principal::open("local"), now, Utc::EPOCH);
+        let text = page.text();
+        for (telescope, count) in [("callisto", 1), ("shared", 2)] {
+            let labels = format!("site=\"paranal\",telescope=\"{telescope}\",priority=\"critical\"");
+            assert!(text.contains(&format!("starmesh_alerts_active{{{labels}}} {count}\n")), "{text}");
+        }
+    }
 
     /// The words of a text that begin like a metric of ours.
     fn metrics(text: &str) -> BTreeSet<&str> {

@@ -142,7 +142,7 @@ pub fn body_for(entry: &Entry, caller: &Principal) -> Value {
 /// All telescopes that the caller may see, with their nodes; the devices that a site shares are under `shared`.
 pub async fn network(State(server): State<Arc<Server>>, Extension(caller): Extension<Principal>) -> Response {
     let network = &server.network;
-    let now = network.clock().machine();
+    let (now, utc) = (network.clock().machine(), network.clock().utc());
     let of = |is_shared: bool| -> Vec<TelescopeInNetwork> {
         let model = network.read();
         let is_wanted = |address: &Address| {
@@ -150,13 +150,13 @@ pub async fn network(State(server): State<Arc<Server>>, Extension(caller): Exten
         };
         let wanted = model.telescopes.iter().filter(|(address, _)| is_wanted(address));
         let telescopes = wanted.map(|(address, telescope)| TelescopeInNetwork {
-            summary: Summary::of(&model, address, telescope, now),
+            summary: Summary::of(&model, address, telescope, now, utc),
             nodes: nodes(telescope, now),
         });
         telescopes.collect()
     };
     let answer = NetworkAnswer {
-        server_time_utc: network.clock().utc(),
+        server_time_utc: utc,
         speed: network.clock().speed(),
         telescopes: of(false),
         shared: of(true),
@@ -182,13 +182,13 @@ pub async fn telescope(
 ) -> Result<Response, Problem> {
     let network = &server.network;
     let address = known(network, &site, &telescope)?;
-    let now = network.clock().machine();
+    let (now, utc) = (network.clock().machine(), network.clock().utc());
     let model = network.read();
     let known = model.telescopes.get(&address).ok_or_else(|| Problem::not_found("It has just been forgotten."))?;
     let answer = TelescopeAnswer {
-        server_time_utc: network.clock().utc(),
+        server_time_utc: utc,
         speed: network.clock().speed(),
-        summary: Summary::of(&model, &address, known, now),
+        summary: Summary::of(&model, &address, known, now, utc),
         states: known
             .states
             .iter()

@@ -38,9 +38,10 @@ const BEAT: Duration = Duration::from_secs(1);
 /// Changes of a topic per second, and what a program may ask for.
 const RATE_HZ: f64 = 5.0;
 const RATES_HZ: std::ops::RangeInclusive<f64> = 0.1..=10.0;
-const MOST_TOPICS: usize = 64;
-/// The longest message of a program.
-const MOST_BYTES: usize = 16 << 10;
+/// Several topics of each of the 50 telescopes of a network.
+const MOST_TOPICS: usize = 256;
+/// The longest message of a program: so many topics, each with the number after which it goes on.
+const MOST_BYTES: usize = 32 << 10;
 const STALLED_AFTER: Duration = Duration::from_secs(10);
 /// A program that missed things so often within a minute is let go.
 const MOST_GAPS: usize = 3;
@@ -227,7 +228,7 @@ impl Subscriber<'_> {
                     let rate = if rate.is_finite() { rate.clamp(*RATES_HZ.start(), *RATES_HZ.end()) } else { RATE_HZ };
                     self.pause = Duration::from_secs_f64(1.0 / rate);
                 }
-                let topics: BTreeSet<String> = topics.into_iter().take(MOST_TOPICS + 1).collect();
+                let topics: BTreeSet<String> = topics.into_iter().collect();
                 topics.iter().flat_map(|topic| self.subscribe(topic, resume.as_ref())).collect()
             }
             Ok(ClientMessage::Unsub { topics }) => {

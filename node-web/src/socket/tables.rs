@@ -30,7 +30,7 @@ const SECONDS: &str = "%Y-%m-%d %H:%M:%S";
 pub fn document(model: &Model, address: &Address, usage: Usage, now: MachineTime, utc: Utc) -> Value {
     let heartbeat = heartbeat::document(model, Some(address), |_| true, usage, now, utc);
     let telescope = model.telescopes.get(address);
-    let image = telescope.and_then(|telescope| Summary::of(model, address, telescope, now).face.image);
+    let image = telescope.and_then(|telescope| Summary::of(model, address, telescope, now, utc).face.image);
     json!({
         "table0": devices(model, address, now),
         "table1": system(&heartbeat, utc),

@@ -1,5 +1,7 @@
 //! The page, its check of access, the image and the live socket, over real HTTP and a real bus.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use axum::routing::get;
 use contract::device::camera::{Frame, Pixel, Purpose};
 use contract::node::{DiaryLine, Level};
@@ -179,6 +181,29 @@ async fn a_page_gets_a_snapshot_then_changes_then_beats() {
         let refused = page.until(|message| message["op"] == "err").await;
         assert!(refused["data"]["detail"].as_str().unwrap().contains("expected"), "{refused}");
     }
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_topic_is_answered_those_too_that_are_too_many() {
+    let stage = Stage::start().await;
+    let mut page = Socket::open(&stage, "/api/v1/ws", &format!("Origin: {}\r\n", stage.url)).await.unwrap();
+    let welcome = page.recv().await;
+    assert_eq!(welcome["data"]["most_topics"], 256);
+    let topics: Vec<String> = (0..300).map(|i| format!("tel/paranal/callisto/device/camera/c{i}")).collect();
+    let seq: BTreeMap<&String, u64> = topics.iter().map(|topic| (topic, 1)).collect();
+    let sub = json!({"op": "sub", "topics": topics, "resume": {"session": "of before", "seq": seq}});
+    page.send(&sub.to_string()).await;
+    let mut answers: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+    while answers.values().map(BTreeSet::len).sum::<usize>() < topics.len() {
+        let answer = page.until(|message| message["op"] == "snap" || message["op"] == "err").await;
+        let op = if answer["op"] == "snap" { "snap" } else { "err" };
+        let detail = answer["data"]["detail"].as_str().unwrap_or_default();
+        assert!(op == "snap" || detail.contains("may have 256 topics"), "{answer}");
+        assert!(answers.entry(op).or_default().insert(answer["topic"].as_str().unwrap().to_owned()), "{answer}");
+    }
+    assert_eq!((answers["snap"].len(), answers["err"].len()), (256, 44));
+    assert!(topics.iter().all(|topic| answers.values().any(|of| of.contains(topic))));
     stage.end().await;
 }
 

@@ -57,7 +57,7 @@ fn frames() -> Vec<Stored> {
         let (path, file) = (format!("/images/{number}.fits").into(), format!("{number}.fits"));
         let facts = FrameFacts { frame: frame.id.clone(), ..facts };
         let stored = frame.started_utc;
-        writes.push(Stored::Stored(Box::new(StoredImage { frame, path, file, bytes: 5760, stored })));
+        writes.push(Stored::Stored(Box::new(StoredImage { frame, file, bytes: 5760, stored }), path));
         let origin = (BootId::fresh(), number as u64);
         writes.push(Stored::Facts(Box::new(StoredFacts { facts, at: at(0.0), origin })));
     };
@@ -280,8 +280,8 @@ async fn a_night_that_cannot_be_written_as_parquet_is_named_and_the_others_are_w
         let started_utc = at(86_400.0 * f64::from(number));
         let frame = Frame { id: CommandId(format!("f{number}")), started_utc, ..golden.clone() };
         let (path, file) = (format!("/images/{number}.fits").into(), format!("{number}.fits"));
-        let image = StoredImage { frame, path, file, bytes: 5760, stored: started_utc };
-        database.commit(vec![Stored::Stored(Box::new(image))]).await.unwrap();
+        let image = StoredImage { frame, file, bytes: 5760, stored: started_utc };
+        database.commit(vec![Stored::Stored(Box::new(image), path)]).await.unwrap();
     }
     drop(database);
     writer.end().await;

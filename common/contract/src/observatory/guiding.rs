@@ -210,8 +210,8 @@ pub struct Correction {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dy_px: Option<f64>,
     /// Greater one of their standard errors, px.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub error_px: Option<f64>,
+    #[serde(default, rename = "error_px", skip_serializing_if = "Option::is_none")]
+    pub shift_error_px: Option<f64>,
     /// How far the field is turned since the reference, from +x towards +y, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation_deg: Option<f64>,

@@ -59,7 +59,7 @@ const FACTS_COLUMNS: &[Column] = &[
     given("datetime", Kind::Stamp, "when they were published"),
     given("boot_id", Kind::Text, "incarnation of the node that published them"),
     given("seq", Kind::Int, "number of the sample"),
-    given("in_header", Kind::Int, "0 not yet in the FITS header, 1 in it, 2 the file could not be changed"),
+    given("in_header", Kind::Int, "0 not yet in the FITS header, 1 in it, 2 the file is gone"),
     maybe("ra_deg", Kind::Real, "right ascension of the image's centre, ICRS"),
     maybe("dec_deg", Kind::Real, "declination of the image's centre, ICRS"),
     maybe("scale_arcsec_px", Kind::Real, "scale"),

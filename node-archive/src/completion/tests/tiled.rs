@@ -110,7 +110,7 @@ fn a_cube_of_tiled_frames_is_that_of_the_plain_ones() {
         for (name, object) in names.iter().zip(["Rigel", "Mira"]) {
             written(name, &SHAPE, tiled, 100);
             let cards = vec![Card::new("OBJECT", object.into(), "object")];
-            complete_file(name, &Plan { cards, history: Vec::new() }).unwrap();
+            complete_file(name, &Plan { cards, ..Plan::default() }).unwrap();
         }
         let target = folder.path().join(format!("cube-{tiled}.fits"));
         fits::cube::write_cube(&names, &target).unwrap();

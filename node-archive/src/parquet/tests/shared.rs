@@ -173,10 +173,10 @@ async fn a_night_is_written_again_when_an_alert_of_it_is_cleared_weeks_later_or_
     let none = StoredAlerts { alerts: vec![], at: at(29 * DAY_S), origin: (boot.clone(), 900) };
     let frame = Frame { id: CommandId("late".to_owned()), started_utc: at(10 * DAY_S), ..golden("camera.frame") };
     let (path, file) = ("/images/late.fits".into(), "late.fits".to_owned());
-    let late = StoredImage { frame, path, file, bytes: 5760, stored: at(29 * DAY_S) };
+    let late = StoredImage { frame, file, bytes: 5760, stored: at(29 * DAY_S) };
     let alerts = NodeAlerts::new(Clock::machine_clock());
     let (database, writer) = Database::open(&config.archive.database, "callisto", alerts).unwrap();
-    database.commit(vec![Write::Alerts(Box::new(none)), Write::Stored(Box::new(late))]).await.unwrap();
+    database.commit(vec![Write::Alerts(Box::new(none)), Write::Stored(Box::new(late), path)]).await.unwrap();
     drop(database);
     writer.end().await;
     // The alerts of the other nights were cleared by those of the night after each.

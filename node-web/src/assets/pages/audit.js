@@ -1,10 +1,10 @@
 // Who moved what: the records of device, observatory and web nodes, as the archive has them. Each command is one line, with what became of it.
 import { html, useSignal } from "../lib.js";
-import { useGet } from "../api.js";
 import { clock, day, number } from "../format.js";
+import { useWindow } from "../history.js";
 import { Card, Empty, Icon, Loaded, Segment, Table } from "../parts.js";
 import { go, route, withQuery } from "../route.js";
-import { net, skyNow } from "../store.js";
+import { net } from "../store.js";
 
 const HOURS = [[1, "1 h"], [12, "12 h"], [24, "24 h"], [168, "7 d"]];
 const MOST = 2000;
@@ -57,9 +57,7 @@ function Records({ id }) {
   const who = query.get("who") in WHO ? query.get("who") : "all";
   const text = query.get("text") ?? "";
   const most = useSignal(PAGE);
-  const now = useSignal(null);
-  if (now.peek() === null && skyNow()) now.value = skyNow();
-  const found = useGet(now.value && `/api/v1/telescopes/${id}/audit?from_utc=${new Date(now.value - hours * 3600e3).toISOString()}&limit=${MOST}`, 30);
+  const { found } = useWindow(hours, (from) => `/api/v1/telescopes/${id}/audit?from_utc=${from}&limit=${MOST}`, 30);
   const set = (changes) => go(withQuery(changes), { replace: true });
   const records = (Array.isArray(found.data?.rows) ? found.data.rows : []).map((row) => row?.audit).filter(Boolean);
   const shown = commandsOf(records).filter((one) => WHO[who](one) && `${one.from} ${one.device ?? ""} ${one.verb} ${one.parameters ?? ""} ${one.reason ?? ""} ${outcomeWords(one.outcome).join(" ")} ${one.id ?? ""}`.toLowerCase().includes(text.toLowerCase()));
@@ -67,8 +65,7 @@ function Records({ id }) {
   return html`<div class="row wrap chips-x"><label class="in"><${Icon} name="search" /><input type="search" placeholder="Person, device, order or reason" aria-label="Search the audit" value=${text} onInput=${(event) => set({ text: event.target.value })} /><kbd>/</kbd></label>
       <${Segment} label="Whose" options=${[["all", "All"], ["people", "People"], ["guard", "Guards"], ["bad", "Not done"]]} value=${who} onChange=${(value) => set({ who: value === "all" ? null : value })} /><${Segment} label="How far back" options=${HOURS} value=${hours} onChange=${(value) => set({ hours: String(value) })} />
       <span class="grow"></span><button class="btn sm soft" disabled=${!records.length} onClick=${() => save(id, records)}><${Icon} name="down2" /><span>Save records</span></button></div>
-    <${Card} name="Who moved what" flush end=${`${shown.length} of ${records.length} records, newest first`}><${Loaded} of=${found} what="The audit">${(data) => html`${data.truncated && html`<p class="note p3"><span class="grow">There are more records than are shown: these are the newest ${MOST}. Choose a shorter time.</span></p>`}
-      ${shown.length ? html`<${Table} label="Who moved what" cls="cards audit" columns=${COLUMNS} rows=${shown.slice(0, most.value)} keyOf=${(one) => `${one.chain} ${one.number}`} rowProps=${(one) => ({ "data-testid": "audit-row", "data-outcome": one.outcome?.is })} cells=${(one) => {
+    <${Card} name="Who moved what" flush end=${`${shown.length} of ${records.length} records, newest first`}><${Loaded} of=${found} what="The audit">${() => html`${shown.length ? html`<${Table} label="Who moved what" cls="cards audit" columns=${COLUMNS} rows=${shown.slice(0, most.value)} keyOf=${(one) => `${one.chain} ${one.number}`} rowProps=${(one) => ({ "data-testid": "audit-row", "data-outcome": one.outcome?.is })} cells=${(one) => {
         const [word, detail] = outcomeWords(one.outcome);
         const took = one.ended_utc ? (Date.parse(one.ended_utc) - Date.parse(one.at_utc)) / 1000 : null;
         return html`<td class="k nw"><a class="quiet" href=${`/t/${id}/log?at=${encodeURIComponent(one.at_utc)}`} title=${`${one.at_utc}: the log of that minute`}>${day(one.at_utc).slice(4)} <b>${clock(one.at_utc)}</b></a></td><td class="wrap"><b>${one.from}</b>${one.from_host ? html` <span class="mm">${one.from_host}</span>` : ""}</td>

@@ -2,10 +2,11 @@
 import { html, useMemo } from "../lib.js";
 import { useGet, useReport } from "../api.js";
 import { Chart } from "../chart.js";
-import { clock, nightOf, number, plain } from "../format.js";
+import { clock, number, plain } from "../format.js";
 import { Age, Card, Empty, Loaded, Stat, Table } from "../parts.js";
 import { Plane } from "../plane.js";
-import { ageOf, quality, skyNow, tick, useTopic } from "../store.js";
+import { tonight } from "../site.js";
+import { ageOf, moment, quality, skyNow, tick, useTopic } from "../store.js";
 
 const words = (value) => String(value ?? "—").replaceAll("_", " ");
 
@@ -26,21 +27,22 @@ function Run({ run, unit }) {
 
 const COLUMNS = [{ key: "t", name: "Started" }, { key: "f", name: "Filter" }, { key: "p", name: "Points", num: true }, { key: "b", name: "Best, steps", num: true }, { key: "c", name: "Air, °C", num: true }, { key: "o", name: "Outcome" }];
 
-export function Focus({ id }) {
+export function Focus({ id, summary }) {
   tick.value; // eslint-disable-line no-unused-expressions
   const states = useTopic(`tel/${id}/observatory/focus`);
   const entry = states?.get(`${id}/observatory/focus/state`);
-  const night = skyNow() && nightOf(skyNow());
+  const night = tonight(summary);
   const report = useReport(id, night);
   const frames = useGet(night && `/api/v1/telescopes/${id}/frames?night=${night}&image_type=light&limit=2000`, 60);
-  const t1 = useMemo(() => skyNow(), [frames.at]);
+  const t1 = useMemo(() => skyNow(), [frames.at, Math.floor((moment.value ?? 0) / 60e3)]);
   const points = (frames.data?.rows ?? []).map((row) => row.found_frame).filter((frame) => frame?.fwhm_arcsec != null).map((frame) => [Date.parse(frame.at_utc), frame.fwhm_arcsec]);
   const runs = report.data?.focus_runs ?? [];
   const body = entry?.body;
+  const worth = entry && quality(ageOf(entry), entry.period_s);
   const run = body?.run ?? runs[runs.length - 1];
-  return html`${entry ? html`<div class="grid g-side"><${Card} name=${run?.started_utc ? `Run of ${clock(run.started_utc)}` : "The last run"} end=${html`${run?.points?.length > 0 && html`<span class="key ring hollow">coarse</span><span class="key dot">fine</span><span>× not measured</span>${run.critical_zone && html`<span class="desk">hatched: critical zone</span>`}`}${body.active && html`<span class="mode">RUNNING</span>`}`}>${run?.points?.length ? html`<${Run} run=${run} unit=${words(run.value_label ?? "size of stars, px")} />` : html`<${Empty} icon="focus" title="No focus run since this node started" />`}<//>
-      <div class="stack"><${Card} name="Now"><div class="stats three"><${Stat} name="Best position" value=${plain(body.best_position)} unit="steps" worth=${quality(ageOf(entry), entry.period_s)} />${(body.focusers ?? []).map((one) => html`<${Stat} key=${one.focuser} name=${one.focuser} value=${plain(one.best_position)} unit="steps" sub=${[one.temperature_c != null && `at ${number(one.temperature_c)} °C`, one.runs != null && `${one.runs} runs`].filter(Boolean).join(", ")} />`)}</div>
-        <p class="m">${body.detail} · ${run?.critical_zone ? `critical zone ± ${number(run.critical_zone, 0)} steps · ` : ""}<${Age} s=${ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} after=" ago" /></p>${body.slope_steps_per_c != null && html`<p><b>${number(body.slope_steps_per_c)}</b> steps/°C</p>`}<//>
+  return html`${entry ? html`<div class="grid g-side"><${Card} name=${run?.started_utc ? `Run of ${clock(run.started_utc)}` : "The last run"} end=${html`${run?.points?.length > 0 && html`<span class="key ring hollow">coarse</span><span class="key dot">fine</span><span>× not measured</span>${run.critical_zone && html`<span class="desk">hatched: critical zone</span>`}`}${body.active && worth === "fresh" && html`<span class="mode">RUNNING</span>`}`}>${run?.points?.length ? html`<${Run} run=${run} unit=${words(run.value_label ?? "size of stars, px")} />` : html`<${Empty} icon="focus" title="No focus run since this node started" />`}<//>
+      <div class="stack"><${Card} name="Now"><div class="stats three"><${Stat} name="Best position" value=${plain(body.best_position)} unit="steps" worth=${worth} />${(body.focusers ?? []).map((one) => html`<${Stat} key=${one.focuser} name=${one.focuser} value=${plain(one.best_position)} unit="steps" sub=${[one.temperature_c != null && `at ${number(one.temperature_c)} °C`, one.runs != null && `${one.runs} runs`].filter(Boolean).join(", ")} />`)}</div>
+        <p class="m">${body.detail} · ${run?.critical_zone ? `critical zone ± ${number(run.critical_zone, 0)} steps · ` : ""}<${Age} s=${ageOf(entry)} worth=${worth} after=" ago" /></p>${body.slope_steps_per_c != null && html`<p><b>${number(body.slope_steps_per_c)}</b> steps/°C</p>`}<//>
       <${Card} name="If a run fails"><p class="m">The focuser returns to the last good position, and the row goes on. The alert <span class="mono">focus-failed</span> says why.</p><//></div></div>` : html`<p class="m">Nothing of the focus received yet.</p>`}
     <${Card} name="FWHM of tonight's frames"><${Loaded} of=${frames} what="The list of frames">${() => (points.length ? html`<${Chart} t0=${Math.min(...points.map(([t]) => t)) - 6e5} t1=${t1} now=${t1} marks=${runs.map((one) => ({ t: Date.parse(one.started_utc), text: "focus run" })).filter((mark) => mark.t)} panels=${[{ name: "FWHM", unit: "″", digits: 2, height: 180, zero: true, series: [{ name: "", points, colour: "--s1", kind: "dots" }] }]} />` : html`<${Empty} icon="focus" title="No frame of this night is measured yet" />`)}<//><//>
     <${Card} name="Runs tonight" flush><${Loaded} of=${report} what="The night">${() => (runs.length ? html`<${Table} label="Runs tonight" columns=${COLUMNS} rows=${runs} keyOf=${(one) => one.started_utc} cells=${(one) => html`<td class="k">${clock(one.started_utc)}</td><td>${one.filter ?? "—"}</td><td class="num">${one.points?.length ?? "—"}</td><td class="num"><b>${plain(one.best_position)}</b></td><td class="num">${one.temperature_c != null ? number(one.temperature_c) : "—"}</td><td>${words(one.outcome)}${one.reason ? `: ${one.reason}` : ""}</td>`} />` : html`<p class="m pad">No focus run tonight.</p>`)}<//><//>`;

@@ -1,8 +1,8 @@
 // One frame: its pixels with a stretch of one's own, what was measured, its whole header.
-import { html, useEffect, useMemo, useSignal } from "../lib.js";
-import { useGet } from "../api.js";
+import { html, useEffect, useSignal } from "../lib.js";
+import { Failure, useGet } from "../api.js";
 import { bytes, clock, declination, number, plain, rightAscension } from "../format.js";
-import { Card, Empty, Icon, Loaded, Segment, Stat } from "../parts.js";
+import { Card, Icon, Loaded, Segment, Stat } from "../parts.js";
 import { CURVES, Tiles, automatic, histogram } from "../pixels.js";
 import { go, route } from "../route.js";
 import { Viewer } from "../viewer.js";
@@ -29,31 +29,53 @@ function Header({ id, frame }) {
       html`<tr key=${key}><td class="mono mm">${card.keyword}</td><td class="mono">${card.value === null ? "" : typeof card.value === "string" ? `'${card.value}'` : String(card.value)}</td><td class="mm">${card.comment}</td></tr>`)}</tbody></table></div>`}<//><//>`;
 }
 
+/** Tiles of a frame with its first one, which is the whole frame. */
+async function readWhole(id, frame) {
+  const tiles = new Tiles(id, frame);
+  const whole = await tiles.get(0, 0, 0);
+  if (!whole) throw new Failure(404, { detail: "The archive has no pixels of this frame." });
+  return { tiles, whole };
+}
+
+/** Why tiles are missing; they are asked for again by another `again`, later each time. */
+function useMissing() {
+  const missing = useSignal({ error: null, tries: 0 });
+  const again = useSignal(0);
+  useEffect(() => {
+    if (!missing.value.error) return undefined;
+    const timer = setTimeout(() => {
+      if (document.visibilityState === "visible") again.value += 1;
+      else missing.value = { ...missing.peek() };
+    }, Math.min(60, 2 ** missing.value.tries) * 1000);
+    return () => clearTimeout(timer);
+  }, [missing.value]);
+  const onRead = (error) => {
+    const { error: before, tries } = missing.peek();
+    if (error || before) missing.value = error ? { error, tries: tries + 1 } : { error: null, tries: 0 };
+  };
+  return { error: missing.value.error, again: again.value, onRead, retry: () => { again.value += 1; } };
+}
+
 function Pixels({ id, frame }) {
-  const tiles = useMemo(() => new Tiles(id, frame.id), [id, frame.id]);
-  const whole = useSignal(null);
-  const error = useSignal(null);
+  const found = useGet(`/api/v1/telescopes/${id}/frames/${encodeURIComponent(frame.id)}/tiles/0/0/0`, 0, { read: () => readWhole(id, frame.id) });
+  const missing = useMissing();
   const stretch = useSignal(null);
   const zoom = useSignal("fit");
   const layers = useSignal(new Set(["target"]));
+  const { tiles, whole } = found.data ?? {};
   useEffect(() => {
-    whole.value = null;
-    tiles.get(0, 0, 0).then((tile) => {
-      if (!tile) return;
-      whole.value = tile;
-      stretch.value = { ...automatic(tile, tiles.blank), curve: stretch.peek()?.curve ?? "asinh", invert: false };
-    }).catch((reason) => { error.value = reason; });
-  }, [tiles]);
+    if (whole && !stretch.peek()) stretch.value = { ...automatic(whole, tiles.blank), curve: "asinh", invert: false };
+  }, [whole]);
   const change = (part) => { stretch.value = { ...stretch.peek(), ...part }; };
   const toggle = (layer) => () => { const next = new Set(layers.peek()); if (!next.delete(layer)) next.add(layer); layers.value = next; };
-  if (error.value) return html`<${Card} name="Pixels"><${Empty} icon="warn" title="The pixels cannot be shown" hatch>${error.value.message}<//><//>`;
-  if (!whole.value || !stretch.value) return html`<${Card} name="Pixels"><p class="m">Reading pixels …</p><//>`;
+  if (!whole || !stretch.value) return html`<${Card} name="Pixels"><${Loaded} of=${found} what="The pixels">${() => html`<p class="m">Reading pixels …</p>`}<//><//>`;
   const { facts } = frame;
   return html`<section class="stack"><div class="card flush"><div class="row wrap bar-of-tools"><${Segment} label="Stretch" options=${Object.keys(CURVES).map((curve) => [curve, curve])} value=${stretch.value.curve} onChange=${(curve) => change({ curve })} /><${Segment} label="Zoom" options=${[["fit", "Fit"], ["1", "1:1"], ["4", "4:1"]]} value=${zoom.value} onChange=${(value) => { zoom.value = value; }} />
       <span class="row"><button class="chip" aria-pressed=${String(layers.value.has("grid"))} disabled=${!facts?.wcs} onClick=${toggle("grid")}><${Icon} name="grid" />Grid</button><button class="chip" aria-pressed=${String(layers.value.has("target"))} disabled=${!facts?.wcs} onClick=${toggle("target")}><${Icon} name="guide" />Centre</button>
         <button class="chip" aria-pressed=${String(stretch.value.invert)} onClick=${() => change({ invert: !stretch.peek().invert })}>Invert</button></span></div>
-      <${Viewer} tiles=${tiles} width=${frame.width_px} height=${frame.height_px} stretch=${stretch.value} zoom=${zoom.value} layers=${layers.value} wcs=${facts?.wcs} target=${frame.ra_deg != null ? [frame.ra_deg, frame.dec_deg] : null} onError=${(reason) => { error.value = reason; }} /></div>
-    <${Card} name="Stretch" end=${html`<button type="button" class="btn sm quiet" onClick=${() => change(automatic(whole.value, tiles.blank))}>Auto</button>`}><${Histogram} tile=${whole.value} stretch=${stretch.value} onChange=${change} tiles=${tiles} /><//></section>`;
+      ${missing.error && html`<p class="note p3" data-testid="missing-tiles"><span class="grow"><b>Some pixels cannot be read.</b> ${missing.error.message}</span><button type="button" class="btn sm soft" onClick=${missing.retry}>Try again</button></p>`}
+      <${Viewer} tiles=${tiles} width=${frame.width_px} height=${frame.height_px} stretch=${stretch.value} zoom=${zoom.value} layers=${layers.value} wcs=${facts?.wcs} target=${frame.ra_deg != null ? [frame.ra_deg, frame.dec_deg] : null} again=${missing.again} onRead=${missing.onRead} /></div>
+    <${Card} name="Stretch" end=${html`<button type="button" class="btn sm quiet" onClick=${() => change(automatic(whole, tiles.blank))}>Auto</button>`}><${Histogram} tile=${whole} stretch=${stretch.value} onChange=${change} tiles=${tiles} /><//></section>`;
 }
 
 function Measured({ frame }) {
@@ -68,7 +90,8 @@ function Measured({ frame }) {
 
 export function Frame({ id }) {
   const wanted = route.value.rest[0];
-  const found = useGet(`/api/v1/telescopes/${id}/frames/${encodeURIComponent(wanted)}`);
+  // It may be opened before the archive has it, and before it is measured.
+  const found = useGet(`/api/v1/telescopes/${id}/frames/${encodeURIComponent(wanted)}`, 0, { whole: (frame) => Boolean(frame?.facts) });
   const night = found.data?.night;
   const list = useGet(night && `/api/v1/telescopes/${id}/frames?night=${night}&limit=1000`);
   const ids = (list.data?.rows ?? []).map((row) => row.found_frame?.id).filter(Boolean);

@@ -1,9 +1,10 @@
 // Frames: a search in the archive, as pictures or as a table.
 import { html, useSignal } from "../lib.js";
 import { useGet } from "../api.js";
-import { clock, nightDay, nightOf, number, plain } from "../format.js";
+import { clock, nightDay, number, plain } from "../format.js";
 import { Card, Empty, Icon, Loaded, Segment, Table } from "../parts.js";
 import { go, route, withQuery } from "../route.js";
+import { tonight } from "../site.js";
 import { net, skyNow, tick } from "../store.js";
 
 const FILTERS = ["night", "object", "filter", "image_type", "fwhm_max_arcsec", "stars_min"];
@@ -33,9 +34,8 @@ const COLUMNS = [{ key: "t", name: "Begun", sort: (frame) => frame.at_utc }, { k
 
 function Found({ id, view, data, text }) {
   const frames = (data.rows ?? []).map((row) => row.found_frame).filter(Boolean).sort((a, b) => (a.at_utc < b.at_utc ? 1 : -1)).filter((frame) => `${frame.object ?? ""} ${frame.file} ${frame.filter ?? ""} ${frame.image_type}`.toLowerCase().includes(text.toLowerCase()));
-  if (!frames.length) return html`<${Empty} icon="image" title="No frame fits">Choose another night, or fewer conditions.<//>`;
-  return html`${data.truncated && html`<p class="note">The newest ${frames.length} are shown. Choose a night or a target for the others.</p>`}
-    ${view === "grid" ? html`<div class="frame-grid">${frames.map((frame) => html`<${Thumb} key=${frame.id} id=${id} frame=${frame} />`)}</div>` : html`<${Card} flush label="Frames"><${Table} label="Frames" columns=${COLUMNS} rows=${frames} keyOf=${(frame) => frame.id} rowProps=${(frame) => ({ "data-testid": "frame", "data-frame": frame.id })}
+  if (!frames.length) return html`<${Empty} icon="image" title=${data.truncated ? `None of the newest ${data.rows.length} fits` : "No frame fits"}>${data.truncated ? "There are older ones: name the target exactly." : "Choose another night, or fewer conditions."}<//>`;
+  return html`${view === "grid" ? html`<div class="frame-grid">${frames.map((frame) => html`<${Thumb} key=${frame.id} id=${id} frame=${frame} />`)}</div>` : html`<${Card} flush label="Frames"><${Table} label="Frames" columns=${COLUMNS} rows=${frames} keyOf=${(frame) => frame.id} rowProps=${(frame) => ({ "data-testid": "frame", "data-frame": frame.id })}
       cells=${(frame) => html`<td class="k"><a href=${`/t/${id}/frames/${encodeURIComponent(frame.id)}`}>${clock(frame.at_utc)}</a></td><td>${frame.object ?? "—"}</td><td class="hidep">${frame.image_type}</td><td>${frame.filter ?? "—"}</td><td class="num">${plain(frame.exposure_s)} s</td><td class="num">${frame.fwhm_arcsec != null ? `${number(frame.fwhm_arcsec, 2)}″` : "—"}</td><td class="num">${frame.stars ?? "—"}</td>
         <td class="num hidep">${frame.sky_adu != null ? number(frame.sky_adu, 0) : "—"}</td><td class="hidep mono mm">${frame.file}</td><td>${flaw(frame) && html`<span class="ink-p3">▼ ${flaw(frame)}</span>`}</td>`} /><//>`}`;
 }
@@ -48,7 +48,7 @@ export function Frames({ id }) {
   const chosen = id ?? query.get("telescope") ?? telescopes[0]?.id;
   const conditions = new URLSearchParams();
   for (const name of FILTERS) if (query.get(name)) conditions.set(name, query.get(name));
-  if (!conditions.has("night") && skyNow()) conditions.set("night", nightOf(skyNow()));
+  if (!conditions.has("night") && skyNow()) conditions.set("night", tonight(net.value.get(chosen)));
   conditions.set("limit", String(MOST));
   const found = useGet(chosen && skyNow() && `/api/v1/telescopes/${chosen}/frames?${conditions}`, 60);
   if (!skyNow()) tick.value; // eslint-disable-line no-unused-expressions -- until the first message

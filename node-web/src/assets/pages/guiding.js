@@ -3,11 +3,11 @@ import { html, useSignal } from "../lib.js";
 import { Chart, broken } from "../chart.js";
 import { useCorrections } from "../corrections.js";
 import { clock, number } from "../format.js";
-import { Age, Card, Empty, Loaded, Segment, Stat, Table } from "../parts.js";
+import { Age, Card, Empty, Loaded, Old, Segment, Stat, Table } from "../parts.js";
 import { Plane } from "../plane.js";
 import { ageOf, quality, tick, useTopic } from "../store.js";
 
-const HOURS = [[0.25, "15 min"], [2, "2 h"], [12, "Night"]];
+const HOURS = [[0.25, "15 min"], [2, "2 h"], [12, "12 h"]];
 const words = (why) => String(why ?? "—").replaceAll("_", " ");
 const sentence = (text) => (text ? `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}` : "");
 const rms = (values) => { const known = values.filter(Number.isFinite); return known.length ? Math.sqrt(known.reduce((sum, v) => sum + v * v, 0) / known.length) : null; };
@@ -20,7 +20,7 @@ function Now({ entry }) {
   const px = (value, digits = 2) => (Number.isFinite(value) ? number(value, digits) : null);
   return html`<${Card} label="Guiding now" testid="guiding-now"><div class="row wrap gaps"><${Stat} lg name="RMS of this field" value=${px(body.rms_px)} unit="px" worth=${worth} /><${Stat} lg name="East, last" value=${px(last?.east?.error_px)} unit="px" worth=${worth} /><${Stat} lg name="North, last" value=${px(last?.north?.error_px)} unit="px" worth=${worth} />
       <${Stat} lg name="Frames, corrected" value=${body.frames} sub=${body.corrected != null ? `${body.corrected} corrected` : null} worth=${worth} /><${Stat} lg name="Stars" value=${last?.stars} worth=${worth} /><${Stat} lg name="Transparency" value=${px(last?.transparency)} worth=${worth} /></div>
-    <p class="m">${body.active ? html`<b>Guiding ${body.object ?? ""}.</b>` : html`<b>Not guiding now.</b>`} ${sentence(body.detail)} · <${Age} s=${age} worth=${worth} after=" ago" /></p><//>`;
+    <p class="m">${worth !== "fresh" ? html`<b>Not known now.</b> ${body.active ? `It was guiding ${body.object ?? ""}.` : "It was not guiding."}` : body.active ? html`<b>Guiding ${body.object ?? ""}.</b>` : html`<b>Not guiding now.</b>`} ${sentence(body.detail)} · <${Age} s=${age} worth=${worth} after=" ago" /></p><//>`;
 }
 
 function Calibration({ body }) {
@@ -45,17 +45,17 @@ export function Guiding({ id }) {
   const newest = [...past.corrections].reverse().slice(0, 12);
   const pulse = (value) => (Number.isFinite(value) ? `${value > 0 ? "+" : ""}${number(value, 0)}` : "—");
   return html`${entry ? html`<${Now} entry=${entry} />` : html`<p class="m">Nothing of guiding received yet.</p>`}
-    <div class="grid g-side"><${Card} name="Error and what was sent" end=${html`<${Segment} label="How far back" options=${HOURS} value=${hours.value} onChange=${(value) => { hours.value = value; }} />`}><${Loaded} of=${past} what="The past of guiding">${() => past.corrections.length ? html`<${Chart} t0=${past.t1 - hours.value * 3600e3} t1=${past.t1} now=${past.t1} panels=${[
+    <div class="grid g-side"><${Card} name="Error and what was sent" end=${html`<${Segment} label="How far back" options=${HOURS} value=${hours.value} onChange=${(value) => { hours.value = value; }} />`}><${Loaded} of=${past} what="The past of guiding">${() => past.corrections.length ? html`<${Chart} t0=${past.t0} t1=${past.t1} now=${past.t1} panels=${[
       { name: "Error", unit: "px", digits: 2, height: 170, limits: [], series: [{ name: "east", points: axis("east", "error_px"), colour: "--s1", kind: "dots" }, { name: "north", points: axis("north", "error_px"), colour: "--s2", kind: "dots" }] },
       { name: "Pulse", unit: "ms", digits: 0, height: 110, zero: false, series: [{ name: "east", points: axis("east", "given_ms"), colour: "--s1", stepped: true }, { name: "north", points: axis("north", "given_ms"), colour: "--s2", stepped: true }] },
       { name: "FWHM", unit: "px", digits: 2, height: 80, series: [{ name: "", points: over((one) => one.fwhm_px), colour: "--s4" }] },
       { name: "Stars used", unit: "", digits: 0, height: 70, zero: true, series: [{ name: "", points: over((one) => one.stars), colour: "--s4" }] }]} />` : html`<${Empty} icon="guide" title="No frame was guided on in this time" />`}<//><//>
-      <div class="stack"><${Card} name="Where the star went" end="px, equal axes"><${Plane} equal label="East against north, px" xName="east, px" yName="north" points=${past.corrections.map((one) => ({ x: one.east?.error_px, y: one.north?.error_px, kind: one.pier_side === "west" ? "ring" : "dot", title: clock(one.mid_utc) }))}
+      <div class="stack"><${Card} name="Where the star went" end=${html`<${Old} of=${past} />${HOURS.find(([one]) => one === hours.value)[1]}, px, equal axes`}><${Plane} equal label="East against north, px" xName="east, px" yName="north" points=${past.corrections.map((one) => ({ x: one.east?.error_px, y: one.north?.error_px, kind: one.pier_side === "west" ? "ring" : "dot", title: clock(one.mid_utc) }))}
           table=${() => ({ heads: [{ name: "Time", unit: "UTC", isTime: true }, { name: "East", unit: "px", digits: 2 }, { name: "North", unit: "px", digits: 2 }, { name: "Pier side" }], rows: past.corrections.map((one) => [Date.parse(one.mid_utc), one.east?.error_px ?? null, one.north?.error_px ?? null, one.pier_side ?? null]).reverse() })} />
         <div class="read"><span class="key dot">pier side east</span><span class="key ring">pier side west</span></div>
-        <div class="stats three"><${Stat} name="RMS east" value=${fixed(rms(past.corrections.map((one) => one.east?.error_px)))} unit="px" /><${Stat} name="RMS north" value=${fixed(rms(past.corrections.map((one) => one.north?.error_px)))} unit="px" /><${Stat} name="Frames" value=${past.corrections.length} /></div><//>
+        <div class="stats three"><${Stat} name="RMS east" value=${fixed(rms(past.corrections.map((one) => one.east?.error_px)))} unit="px" /><${Stat} name="RMS north" value=${fixed(rms(past.corrections.map((one) => one.north?.error_px)))} unit="px" /><${Stat} name="Frames" value=${past.data && past.corrections.length} sub=${past.truncated ? "the newest only" : null} /></div><//>
         ${entry && html`<${Calibration} body=${entry.body} />`}</div></div>
-    <${Card} name="Last corrections" flush end="errors in px, pulses in ms"><${Table} label="Last corrections" columns=${COLUMNS} rows=${newest} keyOf=${(one) => one.frame} cells=${(one) => html`<td class="mono mm"><a href=${`/t/${id}/frames/${encodeURIComponent(one.frame)}`}>${clock(one.mid_utc)}</a></td><td class="num"><b>${fixed(one.east?.error_px) ?? "—"}</b></td><td class="num">${pulse(one.east?.given_ms)}</td><td>${words(one.east?.why)}</td>
+    <${Card} name="Last corrections" flush end=${html`<${Old} of=${past} />errors in px, pulses in ms`}><${Table} label="Last corrections" columns=${COLUMNS} rows=${newest} keyOf=${(one) => one.frame} cells=${(one) => html`<td class="mono mm"><a href=${`/t/${id}/frames/${encodeURIComponent(one.frame)}`}>${clock(one.mid_utc)}</a></td><td class="num"><b>${fixed(one.east?.error_px) ?? "—"}</b></td><td class="num">${pulse(one.east?.given_ms)}</td><td>${words(one.east?.why)}</td>
       <td class="num"><b>${fixed(one.north?.error_px) ?? "—"}</b></td><td class="num">${pulse(one.north?.given_ms)}</td><td>${words(one.north?.why)}</td><td class="num hidep">${one.stars ?? "—"}</td>`} /><//>`;
 }
 const fixed = (value) => (Number.isFinite(value) ? number(value, 2) : null);

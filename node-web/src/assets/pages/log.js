@@ -1,7 +1,7 @@
 // Log lines of one telescope or of all: live, or searched in the archive by text, level, node and time, also the lines around a moment.
 import { html, useEffect, useMemo, useSignal } from "../lib.js";
 import { ask } from "../api.js";
-import { clock, hourMinute } from "../format.js";
+import { clock, day, hourMinute, shortDay } from "../format.js";
 import { Card, Empty, Icon, Segment } from "../parts.js";
 import { go, route, withQuery } from "../route.js";
 import { net, skyNow, useTopic } from "../store.js";
@@ -18,6 +18,9 @@ const millis = (utc) => { const time = new Date(utc); return Number.isNaN(time.g
 const fieldsOf = (line) => (typeof line.fields === "object" && line.fields ? Object.entries(line.fields).map(([name, value]) => `${name}=${shorter(value)}`).join(" ") : "");
 const stamp = (ms) => new Date(Math.round(ms)).toISOString();
 
+/** Are two times of the same UTC day? */
+const isSameDay = (a, b) => Math.floor(a / 86400e3) === Math.floor(b / 86400e3);
+
 /** A time that somebody wrote, in UTC; null where it is none. */
 const timeOf = (text) => { const ms = Date.parse(`${text.trim().replace(" ", "T").replace(/Z$/, "")}Z`); return Number.isFinite(ms) ? stamp(ms) : null; };
 
@@ -26,22 +29,34 @@ function folded(lines) {
   const out = [];
   for (const line of lines) {
     const last = out[out.length - 1];
-    if (last && last.message === line.message && last.node === line.node && last.telescope === line.telescope && last.level === line.level && fieldsOf(last) === fieldsOf(line)) last.times += 1;
+    if (last && last.message === line.message && last.node === line.node && last.telescope === line.telescope && last.level === line.level && fieldsOf(last) === fieldsOf(line) && isSameDay(Date.parse(last.at_utc), Date.parse(line.at_utc))) last.times += 1;
     else out.push({ ...line, times: 1 });
   }
   return out;
 }
 
 /** Those that fit all conditions. The archive looks for them by the same rules; here they are for what comes live, and until the archive's answer to what was typed last has come. */
-const fitting = (lines, { level, text, node }) => lines.filter((line) => LEVELS.indexOf(line.level) <= LEVELS.indexOf(level) && (!node || line.node === node || String(line.node).startsWith(`${node}/`))
-  && `${line.message} ${line.node} ${line.telescope ?? ""} ${fieldsOf(line)}`.toLowerCase().includes(text.toLowerCase()));
+const fitting = (lines, { level, text, node }) => lines.filter((line) => line.gap || (LEVELS.indexOf(line.level) <= LEVELS.indexOf(level) && (!node || line.node === node || String(line.node).startsWith(`${node}/`))
+  && `${line.message} ${line.node} ${line.telescope ?? ""} ${fieldsOf(line)}`.toLowerCase().includes(text.toLowerCase())));
 
 function Lines({ lines, here, telescope }) {
   if (!lines.length) return html`<${Empty} icon="log" title="No lines">None was written, or none fits the search.<//>`;
-  return html`<ul class="log" tabindex="0" aria-label="Log lines, newest first" data-testid="lines" data-count=${lines.length}>${folded(lines).map((line) => html`<li key=${`${line.at_utc} ${line.number ?? ""} ${line.telescope ?? ""} ${line.message}`} data-l=${line.level} class=${here && Math.abs(Date.parse(line.at_utc) - here) < 1000 ? "here" : ""}>
-    <time datetime=${line.at_utc}>${millis(line.at_utc)}</time><span class="lv">${SHAPE[line.level] && html`<svg class="sh" aria-hidden="true"><use href=${`#sh${SHAPE[line.level]}`} /></svg> `}${String(line.level).toUpperCase()}</span>
+  const all = folded(lines);
+  const dayOf = (line) => Math.floor(Date.parse(line.at_utc) / 86400e3);
+  const today = Math.floor((skyNow() ?? 0) / 86400e3);
+  const isDated = all.some((line) => dayOf(line) < today || dayOf(line) > today);
+  let shown = null;
+  /** What stands above the first line of a day, where not all are of today. */
+  const heading = (line) => {
+    const found = dayOf(line);
+    if (!isDated || !Number.isFinite(found) || found === shown) return [];
+    shown = found;
+    return [html`<li key=${`day ${found}`} class="day" data-testid="day">${day(line.at_utc)}</li>`];
+  };
+  return html`<ul class="log" tabindex="0" aria-label="Log lines, newest first" data-testid="lines" data-count=${lines.length}>${all.flatMap((line) => [...heading(line), html`<li key=${`${line.at_utc} ${line.number ?? ""} ${line.telescope ?? ""} ${line.message}`} data-l=${line.level} class=${here && Math.abs(Date.parse(line.at_utc) - here) < 1000 ? "here" : ""}>
+    <time datetime=${line.at_utc} title=${line.at_utc}>${millis(line.at_utc)}</time><span class="lv">${SHAPE[line.level] && html`<svg class="sh" aria-hidden="true"><use href=${`#sh${SHAPE[line.level]}`} /></svg> `}${String(line.level).toUpperCase()}</span>
     <span class="src cut">${line.telescope ?? ""}</span><span class="src cut">${line.node}</span><span class="msg cut" title=${`${line.message} ${fieldsOf(line)}`}>${line.message} <span class="f">${fieldsOf(line)}</span></span>
-    <span>${line.times > 1 && html`<span class="fold">×${line.times}</span>`}<a class="quiet" href=${withQuery({ at: line.at_utc, telescope: telescope ? null : line.telescope ?? null })} aria-label=${`Lines around ${clock(line.at_utc)}`}><${Icon} name="clock" /></a></span></li>`)}</ul>`;
+    <span>${line.times > 1 && html`<span class="fold">×${line.times}</span>`}<a class="quiet" href=${withQuery({ at: line.at_utc, telescope: telescope ? null : line.telescope ?? null })} aria-label=${`Lines around ${clock(line.at_utc)}`}><${Icon} name="clock" /></a></span></li>`])}</ul>`;
 }
 
 const BINS = 72;
@@ -60,13 +75,16 @@ function Rate({ lines, from, to, telescope }) {
   const [W, H] = [1000, 84];
   const w = W / bins.length;
   const sum = (level) => bins.reduce((all, bin) => all + bin[level], 0);
-  const words = `${sum("error")} errors, ${sum("warn")} warnings, ${sum("info")} others, from ${clock(from)} to ${clock(to)}`;
+  // A range that is not all of today has its days.
+  const isToday = isSameDay(from, skyNow() ?? to) && isSameDay(from, to);
+  const dated = (t, time = clock(t)) => (isToday ? time : `${shortDay(t)} ${time}`);
+  const words = `${sum("error")} errors, ${sum("warn")} warnings, ${sum("info")} others, from ${dated(from)} to ${dated(to)}`;
   return html`<${Card} name=${`Lines each ${step >= 3600e3 ? `${step / 3600e3} h` : step >= 60e3 ? `${step / 60e3} min` : `${step / 1000} s`}`} end=${html`<span class="m">most ${most}</span><span class="ink-p2 nw">◆ ${sum("warn")} warn</span><span class="ink-p1 nw">▲ ${sum("error")} error</span>`}>
     <svg class="rate" viewBox=${`0 0 ${W} ${H}`} preserveAspectRatio="none" role="img" aria-label=${words}>${bins.map((bin, i) => {
       let y = H;
       const part = (level, cls) => { const h = (bin[level] / most) * H; y -= h; return h > 0 && html`<rect class=${cls} x=${(i * w + w * 0.15).toFixed(1)} y=${y.toFixed(1)} width=${(w * 0.7).toFixed(1)} height=${Math.max(1.5, h).toFixed(1)} />`; };
-      return html`<g key=${i} onClick=${() => go(withQuery({ at: stamp(t0 + (i + 0.5) * step), telescope }))}><title>${`${clock(t0 + i * step)}: ${bin.error} errors, ${bin.warn} warnings, ${bin.info} others`}</title><rect class="none" x=${(i * w).toFixed(1)} y="0" width=${w.toFixed(1)} height=${H} />${part("error", "r-error")}${part("warn", "r-warn")}${part("info", "r-info")}</g>`;
-    })}</svg><div class="ribbon-l"><span>${hourMinute(from)}</span><span>UTC</span><span>${hourMinute(to)}</span></div><//>`;
+      return html`<g key=${i} onClick=${() => go(withQuery({ at: stamp(t0 + (i + 0.5) * step), telescope }))}><title>${`${dated(t0 + i * step)}: ${bin.error} errors, ${bin.warn} warnings, ${bin.info} others`}</title><rect class="none" x=${(i * w).toFixed(1)} y="0" width=${w.toFixed(1)} height=${H} />${part("error", "r-error")}${part("warn", "r-warn")}${part("info", "r-info")}</g>`;
+    })}</svg><div class="ribbon-l"><span>${dated(from, hourMinute(from))}</span><span>UTC</span><span>${dated(to, hourMinute(to))}</span></div><//>`;
 }
 
 function Live({ id, filter }) {
@@ -142,7 +160,7 @@ export function Log({ id }) {
       ${mode === "search" && html`<${Segment} label="How far back" options=${HOURS} value=${hours} onChange=${(value) => set({ hours: String(value) })} /><label class="in">until <input type="text" class="when" placeholder="now" aria-label="Until, UTC, such as 2026-11-27 04:12" key=${end} defaultValue=${end ? stamp(to).slice(0, 19).replace("T", " ") : ""} onChange=${(event) => set({ to: timeOf(event.target.value) })} /><span class="u">UTC</span></label>`}
       <span class="grow"></span><span class="tagline desk">UTC, newest first</span></div>
     ${mode === "live" ? html`<${Live} key=${chosen ?? ""} id=${chosen} filter=${filter} />`
-      : mode === "around" ? html`<${Found} key="around" ids=${ids} from=${moment - span.value * 1000} to=${moment + span.value * 1000} filter=${filter} here=${moment} telescope=${chosen} title=${`Around ${clock(at)}`}
+      : mode === "around" ? html`<${Found} key="around" ids=${ids} from=${moment - span.value * 1000} to=${moment + span.value * 1000} filter=${filter} here=${moment} telescope=${chosen} title=${`Around ${shortDay(moment)} ${clock(moment)}`}
         end=${html`<${Segment} label="How far" options=${[[AROUND_S, "± 2 min"], [600, "± 10 min"], [3600, "± 1 h"]]} value=${span.value} onChange=${(value) => { span.value = value; }} /><a class="btn sm soft" href=${withQuery({ at: null })}>Live</a>`} />`
       : !ids.length || !to ? html`<p class="m">Connecting …</p>` : html`<${Found} key="search" ids=${ids} from=${to - hours * 3600e3} to=${to + (end ? 0 : 1000)} filter=${filter} telescope=${chosen} title="Archive" older=${(utc) => withQuery({ to: utc })} />`}`;
 }

@@ -2,11 +2,11 @@
 import { html, useSignal } from "../lib.js";
 import { activity } from "../activity.js";
 import { CloseButton } from "../close.js";
-import { clock, duration, nightOf, number } from "../format.js";
+import { clock, duration, number } from "../format.js";
 import { arrived, Picture } from "../image.js";
 import { Age, Bullet, Card, Empty, Expected, Guard, Icon, Missing, Mode, Priority, PRIORITIES, Segment, Simulated, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, realTime, summaryAge, urgency } from "../parts.js";
 import { bySite, doing, worst } from "../shell.js";
-import { ageOf, link, moment, net, quality, skyNow, skySpeed, tick, told, useTopic } from "../store.js";
+import { link, moment, net, skyNow, skySpeed, tick, told, useTopic } from "../store.js";
 import { devicesOf, known, useMissing } from "../devices.js";
 import { Keys, Nights } from "../night.js";
 import { inputWords, limitsOf } from "../inputs.js";
@@ -58,13 +58,30 @@ function Tile({ summary, brief, called }) {
  */
 const WEATHER = [["Wind", "wind_mps", "m/s", 0, 25, 1, "WindSpeed"], ["Humidity", "humidity_percent", "%", 0, 100, 0, "Humidity"], ["Sky − air", null, "°C", -50, 5, 0, "RelativeSkyTemp"], ["Rain", "rain_mm_per_h", "mm/h", 0, 5, 1, "RainRate"]];
 
-/** A site: its weather now, and when it can be safe. Stations belong to the site (`shared`) or to one of its telescopes. */
-function Site({ site, telescopes }) {
+/** A socket has 256 topics at most; so many are for stations beyond the first of each site, the safety of the sites and the lines of the night. */
+const TOPICS = 200;
+const RANK = { fresh: 0, stale: 1, lost: 2 };
+/** The freshest first; those that are fresh keep their order, so that values do not jump from one to another. */
+const freshestFirst = (a, b) => RANK[a.worth] - RANK[b.worth] || (a.worth === "fresh" ? 0 : a.silent - b.silent);
+
+/**
+ * The weather stations of a site, those of its equipment that is shared and of its telescopes: the next owner is asked only while no station is fresh, `more` of them at most. `before` are those of the telescopes that were asked.
+ */
+function Site({ site, telescopes, ids = ownersOf(site, telescopes), more, before = NONE }) {
   tick.value; // eslint-disable-line no-unused-expressions
-  const owners = [...net.value.values()].filter((one) => one.site_id === site);
-  const owner = owners.find((one) => one.shared) ?? owners[0];
-  const states = useTopic(`tel/${owner.id}/device/observingconditions`);
-  const station = devicesOf(states)[0];
+  const [id, ...rest] = ids;
+  const states = useTopic(`tel/${id}/device/observingconditions`);
+  const stations = [...before, ...devicesOf(states).filter((one) => !before.some(({ key }) => key === one.key))].sort(freshestFirst);
+  if (states && rest.length && more > 0 && link.value === "live" && stations[0]?.worth !== "fresh") return html`<${Site} site=${site} telescopes=${telescopes} ids=${rest} more=${more - 1} before=${stations} />`;
+  return html`<${SiteNow} site=${site} telescopes=${telescopes} stations=${stations} none=${!states ? "Asking for its weather …" : rest.length ? `${id} has no weather station; its other telescopes may have one.` : "No weather station of this site is on the bus."} />`;
+}
+const NONE = [];
+const ownersOf = (site, telescopes) => [`${site}/shared`, ...telescopes.map((one) => one.id).sort()].filter((id) => net.value.has(id));
+
+/** A site: its weather now, and when it can be safe. */
+function SiteNow({ site, telescopes, stations, none }) {
+  const [station] = stations;
+  const silent = stations.filter((one) => one.worth !== "fresh").length;
   const all = telescopes.map((one) => [one, standing(one)]);
   const worst = all.find(([, now]) => now.safety === "unknown") ?? all.find(([, now]) => now.safety === "unsafe") ?? all[0];
   const [summary, now] = worst;
@@ -79,8 +96,9 @@ function Site({ site, telescopes }) {
       const v = station.worth === "lost" ? null : value(name);
       const limit = limitOf(property);
       return html`<dt>${label}</dt><dd><${Bullet} value=${v} from=${from} to=${to} limit=${limit?.v} over=${limit && v !== null && v > limit.v} /></dd><dd class="v">${v === null || v === undefined ? "—" : html`<b>${number(v, digits)}</b>`} ${limit && html`<span class="desk">of ${number(limit.v, digits)}</span>`} ${unit}</dd>`;
-    })}</dl>` : html`<p class="tagline">No weather station of this site is on the bus.</p>`}
-    <div class="tagline">${station && quality(ageOf(station.entry), station.entry.period_s) !== "fresh" ? html`<span class="ink-stale">Station silent for ${duration(station.age)}${realTime()}</span>` : wait && now.safety === "unsafe" && skyNow() !== null
+    })}</dl>` : html`<p class="tagline">${none}</p>`}
+    ${stations.length > 1 && html`<div class="tagline" data-testid="stations">By ${station.telescope}/${station.name}${silent ? html`; <span class="ink-stale">${silent} of ${stations.length} silent</span>` : `, one of ${stations.length}`}</div>`}
+    <div class="tagline">${station && station.worth !== "fresh" ? html`<span class="ink-stale">Station silent for ${duration(station.silent)}${realTime()}</span>` : wait && now.safety === "unsafe" && skyNow() !== null
       ? html`Safe at the earliest ${clock(skyNow() + wait * 1000)} UTC, <b class="nw">in ${duration(wait)}</b>` : now.safety === "unsafe" ? (summary.safety?.reasons ?? []).slice(0, 1).map((reason) => `Waits for ${inputWords(reason.input)}: ${reason.why}`) : `${telescopes.length} ${telescopes.length > 1 ? "telescopes" : "telescope"}${skySpeed() !== 1 ? ", simulated" : ""}`}</div></section>`;
 }
 
@@ -117,7 +135,7 @@ function All({ telescopes }) {
 
 function NightOfAll({ telescopes }) {
   const now = moment.value;
-  return now !== null && html`<${Card} name="The night, all telescopes" testid="nights" end=${html`<${Keys} ahead="planned" /><span class="desk">twilight of each site</span>`}><${Nights} telescopes=${telescopes} now=${now} night=${nightOf(now)} /><//>`;
+  return now !== null && html`<${Card} name="The night, all telescopes" testid="nights" end=${html`<${Keys} ahead="planned" /><span class="desk">twilight of each site</span>`}><${Nights} telescopes=${telescopes} now=${now} /><//>`;
 }
 
 export function Network() {
@@ -127,9 +145,11 @@ export function Network() {
   if (!telescopes.length) return html`<h1 class="vh" tabindex="-1">Network</h1>${told.value ? html`<${Empty} icon="scope" title="No telescope on the bus yet">Telescopes appear here by themselves when their nodes start.<//>` : html`<p class="m">Connecting …</p>`}`;
   const kinds = { all: () => true, need: needs, open: isOpen, wait: (one) => !one.activity?.length && !needs(one) };
   const called = worst()?.summary.id;
+  const sites = bySite(telescopes);
+  const more = Math.max(0, Math.floor((TOPICS - telescopes.length - 3 * sites.size) / sites.size));
   const chosen = view.value ?? (telescopes.length > 16 ? "compact" : "cards");
   return html`<div class="page-h"><h1 class="vh" tabindex="-1">Network</h1><${Lede} telescopes=${telescopes} /></div>
-    <div class="sites" tabindex="0" role="group" aria-label="Sites">${[...bySite(telescopes)].map(([site, here]) => html`<${Guard} name=${site} key=${site}><${Site} site=${site} telescopes=${here} /><//>`)}</div>
+    <div class="sites" tabindex="0" role="group" aria-label="Sites">${[...sites].map(([site, here]) => html`<${Guard} name=${site} key=${site}><${Site} site=${site} telescopes=${here} more=${more + 1} /><//>`)}</div>
     <div class="row wrap chips-x">${[["all", "All"], ["need", "Need you"], ["open", "Open"], ["wait", "Waiting"]].map(([kind, word]) => html`<button key=${kind} class="chip" aria-pressed=${String(show.value === kind)} onClick=${() => { show.value = kind; }}>${word} <i>${telescopes.filter(kinds[kind]).length}</i></button>`)}
       <span class="grow"></span><span class="tagline desk">Worst first</span><${Segment} label="View" options=${[["cards", "Cards"], ["compact", "Compact"]]} value=${chosen} onChange=${(value) => { view.value = value; }} /></div>
     <div class="tiles" data-view=${chosen === "compact" ? "compact" : null}>${telescopes.filter(kinds[show.value]).map((one) => html`<${Guard} name=${one.telescope_id} key=${one.id}><${Tile} summary=${one} brief=${chosen === "compact"} called=${one.id === called} /><//>`)}</div>

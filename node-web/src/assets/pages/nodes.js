@@ -1,6 +1,7 @@
 // Every node of every telescope: who is silent, where it runs, how full its disk is; and how many keys come as they should.
 import { html, useSignal } from "../lib.js";
 import { useGet } from "../api.js";
+import { elapsed } from "../elapsed.js";
 import { bytes, duration } from "../format.js";
 import { Age, Card, Empty, Icon, Loaded, Segment, Table } from "../parts.js";
 import { link, net, quality, tick } from "../store.js";
@@ -9,8 +10,8 @@ const SORT = { lost: 0, stale: 1, fresh: 2 };
 
 /** All nodes of an answer of `/api/v1/network`, each with the age that its state has now. */
 export function nodesOf(answer, received) {
-  return (answer?.telescopes ?? []).flatMap((summary) => (summary.nodes ?? []).map((node) => {
-    const age = node.age_s === null || node.age_s === undefined ? null : node.age_s + (performance.now() - received) / 1000;
+  return [...(answer?.telescopes ?? []), ...(answer?.shared ?? [])].flatMap((summary) => (summary.nodes ?? []).map((node) => {
+    const age = node.age_s === null || node.age_s === undefined ? null : node.age_s + (elapsed() - received) / 1000;
     return { ...node, key: `${summary.id} ${node.role} ${node.id}`, telescope: summary.id, age, worth: quality(age, 5) };
   })).sort((a, b) => SORT[a.worth] - SORT[b.worth] || a.key.localeCompare(b.key));
 }

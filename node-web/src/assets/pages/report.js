@@ -3,9 +3,10 @@ import { html } from "../lib.js";
 import { useReport } from "../api.js";
 import { inputWords } from "../inputs.js";
 import { bytes, clock, duration, nightDay, nightOf, number, plain } from "../format.js";
-import { Card, Empty, Icon, Loaded, Stat, Table } from "../parts.js";
+import { Card, Empty, Icon, Loaded, Old, Stat, Table } from "../parts.js";
 import { go, route, withQuery } from "../route.js";
-import { net, skyNow } from "../store.js";
+import { nightsOf, tonight } from "../site.js";
+import { net } from "../store.js";
 
 const CLASS = { open_shutter: ["c-ex", "Shutter open"], overhead: ["c-ov", "Overheads"], idle: ["c-wa", "Waiting"], daytime: ["c-ro", "Daytime"], weather: ["c-we", "Weather"], fault: ["c-fa", "Fault"], unexplained: ["c-un", "Not accounted"] };
 const day = 86400e3;
@@ -36,10 +37,9 @@ function Whole({ id, report }) {
         <${Card} name="Disk"><div class="stats three"><${Stat} name="Frames" value=${report.disk.frames} /><${Stat} name="Written" value=${bytes(report.disk.bytes)} /><${Stat} name="Free" value=${bytes(report.disk.free_bytes)} /><${Stat} name="Headers to complete" value=${report.disk.headers_incomplete} /><${Stat} name="Not measured" value=${report.disk.frames_unmeasured} /></div><//></div></div>`;
 }
 
-export function Report({ id }) {
+export function Report({ id, summary }) {
   const { query } = route.value;
-  const now = skyNow();
-  const night = query.get("night") ?? (now && nightOf(now));
+  const night = query.get("night") ?? tonight(summary);
   const report = useReport(id, night);
   const beside = (step) => () => go(withQuery({ night: nightOf(dateOf(night) + step * day + 3600e3) }));
   return html`<div class="page-h"><h2>${night ? `Night of ${nightDay(night)}` : "Night"}</h2><span class="grow"></span><button class="btn sm soft" aria-label="Night before" onClick=${beside(-1)}><${Icon} name="left" /></button><button class="btn sm soft" aria-label="Night after" onClick=${beside(1)}><${Icon} name="chev" /></button>
@@ -50,17 +50,17 @@ export function Report({ id }) {
 function Line({ id, night }) {
   const report = useReport(id, night);
   const share = (group) => { const found = report.data?.times.find((one) => one.group === group); return found ? `${number(100 * found.share, 1)} %` : "—"; };
-  return html`<tr><td class="k"><a href=${`/t/${id}/report?night=${night}`}>${id}</a></td><td class="wide">${report.data ? html`<${Account} times=${report.data.times} />` : html`<span class="m">${report.error?.message ?? "reading …"}</span>`}</td><td class="num"><b>${share("open_shutter")}</b></td><td class="num">${share("weather")}</td><td class="num">${share("fault")}</td><td class="num">${share("unexplained")}</td><td class="num">${report.data?.disk.frames ?? "—"}</td></tr>`;
+  return html`<tr><td class="k"><a href=${`/t/${id}/report?night=${night}`}>${id}</a> <${Old} of=${report} /></td><td class="wide">${report.data ? html`<${Account} times=${report.data.times} />` : html`<span class="m">${report.error?.message ?? "reading …"}</span>`}</td><td class="num"><b>${share("open_shutter")}</b></td><td class="num">${share("weather")}</td><td class="num">${share("fault")}</td><td class="num">${share("unexplained")}</td><td class="num">${report.data?.disk.frames ?? "—"}</td></tr>`;
 }
 
 /** The night of all telescopes. */
 export function AllReports() {
   const { query } = route.value;
-  const now = skyNow();
-  const night = query.get("night") ?? (now && nightOf(now));
   const telescopes = [...net.value.values()].filter((one) => !one.shared).sort((a, b) => a.id.localeCompare(b.id));
-  const beside = (step) => () => go(withQuery({ night: nightOf(dateOf(night) + step * day + 3600e3) }));
-  if (!night) return html`<p class="m">Connecting …</p>`;
-  return html`<div class="page-h"><h1 tabindex="-1">Night of ${nightDay(night)}</h1><span class="grow"></span><button class="btn sm soft" aria-label="Night before" onClick=${beside(-1)}><${Icon} name="left" /></button><button class="btn sm soft" aria-label="Night after" onClick=${beside(1)}><${Icon} name="chev" /></button></div>
-    ${telescopes.length ? html`<${Card} name="Where the night went" flush end=${Object.values(CLASS).map(([cls, word]) => html`<span class="nw row desk" key=${cls}><span class=${`sw ${cls}`}></span>${word}</span>`)}><div class="tw" tabindex="0" role="group" aria-label="Table, may scroll sideways"><table><thead><tr><th>Telescope</th><th>Time</th><th class="num">Open</th><th class="num">Weather</th><th class="num">Fault</th><th class="num">Not acc.</th><th class="num">Frames</th></tr></thead><tbody>${telescopes.map((one) => html`<${Line} key=${`${one.id} ${night}`} id=${one.id} night=${night} />`)}</tbody></table></div><//>` : html`<${Empty} icon="report" title="No telescope yet" />`}`;
+  // Far from each other, telescopes may have two nights at one moment.
+  const nights = query.get("night") ? [query.get("night")] : nightsOf(telescopes.length ? telescopes : [null]);
+  const beside = (step) => () => go(withQuery({ night: nightOf(dateOf(nights[0]) + step * day + 3600e3) }));
+  if (!nights.length) return html`<p class="m">Connecting …</p>`;
+  return html`<div class="page-h"><h1 tabindex="-1">Night of ${nights.map(nightDay).join(" and ")}</h1><span class="grow"></span><button class="btn sm soft" aria-label="Night before" onClick=${beside(-1)}><${Icon} name="left" /></button><button class="btn sm soft" aria-label="Night after" onClick=${beside(1)}><${Icon} name="chev" /></button></div>
+    ${telescopes.length ? html`<${Card} name="Where the night went" flush end=${Object.values(CLASS).map(([cls, word]) => html`<span class="nw row desk" key=${cls}><span class=${`sw ${cls}`}></span>${word}</span>`)}><div class="tw" tabindex="0" role="group" aria-label="Table, may scroll sideways"><table><thead><tr><th>Telescope</th><th>Time</th><th class="num">Open</th><th class="num">Weather</th><th class="num">Fault</th><th class="num">Not acc.</th><th class="num">Frames</th></tr></thead><tbody>${telescopes.map((one) => { const night = query.get("night") ?? tonight(one); return html`<${Line} key=${`${one.id} ${night}`} id=${one.id} night=${night} />`; })}</tbody></table></div><//>` : html`<${Empty} icon="report" title="No telescope yet" />`}`;
 }

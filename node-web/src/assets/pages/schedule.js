@@ -5,12 +5,13 @@ import { Changes } from "../changes.js";
 import { base, draftOf, textAt } from "../draft.js";
 import { useForecast } from "../forecast.js";
 import { title } from "../form.js";
-import { clock, day, hourMinute, nightOf } from "../format.js";
-import { Keys, Night } from "../night.js";
+import { stateOf } from "../devices.js";
+import { clock, day, hourMinute } from "../format.js";
+import { Keys, Night, OldNight } from "../night.js";
 import { Card, Loaded, Table } from "../parts.js";
 import { Order } from "./controls.js";
 import { difference } from "../rowtext.js";
-import { siteOf } from "../site.js";
+import { siteOf, tonight } from "../site.js";
 import { net, skyNow, tick, useTopic } from "../store.js";
 
 const SHAPES = { pending: "·", running: "▶", interrupted: "‖", finished: "✓", failed: "✕", skipped: "–" };
@@ -70,12 +71,13 @@ export function Schedule({ id }) {
   const states = useTopic(`tel/${id}/observatory/schedule`);
   const entry = states?.get(`${id}/observatory/schedule/state`);
   const plan = useForecast(id);
-  const site = siteOf(net.value.get(id));
+  const summary = net.value.get(id);
+  const site = siteOf(summary);
   /** The editor while somebody edits, or null; it is asked for when it is needed. */
   const Editor = useSignal(null);
   const draft = useMemo(() => draftOf(id), [id]);
   const problem = useSignal(null);
-  const report = useReport(id, skyNow() && nightOf(skyNow()));
+  const report = useReport(id, tonight(summary));
   const close = () => { Editor.value = null; };
   const edit = async (first = async () => {}) => {
     problem.value = null;
@@ -91,6 +93,7 @@ export function Schedule({ id }) {
   const editor = useMemo(() => Editor.value && html`<${Editor.value} id=${id} draft=${draft} revision=${entry?.body.revision} sha256=${entry?.body.sha256} running=${running} site=${site} close=${close} />`, [Editor.value, draft, entry?.body.revision, entry?.body.sha256, running, site?.lat, site?.lon]);
   if (!entry) return html`<p class="m">No schedule received yet.</p>`;
   const { rows, file, revision, refused } = entry.body;
+  const { worth, until } = stateOf(states, `${id}/observatory/schedule/state`);
   const bring = (text, number) => edit(async () => {
     await draft.begin();
     draft.bring(text, number);
@@ -98,8 +101,8 @@ export function Schedule({ id }) {
   });
   return html`${problem.value && html`<div class="note p2" role="alert"><span class="grow">${problem.value.message}</span></div>`}
     ${editor ? html`<div class="row wrap"><span class="grow m">Nothing of the draft is in force until it is activated.</span><button class="btn soft" onClick=${close}>Close the draft</button></div>${editor}`
-    : html`<${Card} name="The night" end=${html`<${Keys} />`} cls="tl"><${Night} rows=${rows} plan=${plan?.rows} report=${report.data} site=${site} now=${skyNow()} /><//>
+    : html`<${Card} name="The night" end=${html`<${OldNight} report=${report} plan=${plan} /><${Keys} />`} cls="tl"><${Night} rows=${rows} plan=${plan.data?.rows} report=${report.data} site=${site} now=${skyNow()} /><//>
     ${refused && html`<div class="note p2"><span class="grow"><b>The file's newest text was not taken.</b> ${refused}</span></div>`}
-    <${Card} name="Rows of tonight" flush end=${html`<span class="mono">${file}</span>, version ${revision} <button class="btn sm soft" onClick=${() => edit()}>Edit a draft</button>`}><${Rows} id=${id} sha256=${entry.body.sha256} rows=${rows} plan=${plan} /><//>`}
+    <${Card} name="Rows of tonight" flush end=${html`${worth !== "fresh" && html`<span class="ink-stale" data-testid="was">as of ${hourMinute(until)}; not known since</span>`}<span class="mono">${file}</span>, version ${revision} <button class="btn sm soft" onClick=${() => edit()}>Edit a draft</button>`}><${Rows} id=${id} sha256=${entry.body.sha256} rows=${rows} plan=${plan.data} /><//>`}
     <${Versions} id=${id} sha256=${entry.body.sha256} onBring=${bring} />`;
 }

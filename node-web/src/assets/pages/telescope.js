@@ -1,21 +1,20 @@
 // One telescope now: what it does, why, until when, what it waits for; its night, its image, its devices.
-import { html, useMemo } from "../lib.js";
+import { html, signal, useEffect, useMemo } from "../lib.js";
 import { Chart, broken } from "../chart.js";
 import { Devices } from "../devicelist.js";
-import { devicesOf, exposure, useMissing } from "../devices.js";
-import { clock, duration, hourMinute, nightOf, number, plain } from "../format.js";
+import { devicesOf, exposure, stateOf, useMissing } from "../devices.js";
+import { clock, duration, hourMinute, number, plain } from "../format.js";
 import { arrived, Picture } from "../image.js";
-import { Keys, Night } from "../night.js";
+import { Keys, Night, OldNight } from "../night.js";
 import { useGet, useReport } from "../api.js";
 import { SkyMap } from "../sky.js";
-import { siteOf } from "../site.js";
+import { siteOf, tonight } from "../site.js";
 import { useForecast } from "../forecast.js";
-import { Age, Card, Empty, Expected, Guard, Missing, Priority, Stat, Table, Time, fate, isCalm, priorityNumber, realTime, standing } from "../parts.js";
-import { ageOf, quality, skyAgeOf, skyNow, tick, useTopic } from "../store.js";
+import { Age, Card, Empty, Expected, Guard, Missing, Old, Priority, Stat, Table, Time, Was, fate, isCalm, priorityNumber, realTime, standing } from "../parts.js";
+import { ageOf, moment, quality, skyAgeOf, skyNow, tick, useTopic } from "../store.js";
 import { useCorrections } from "../corrections.js";
 import { activity } from "../activity.js";
 import { Input, inputValue, inputWords } from "../inputs.js";
-import { Webcams } from "../webcams.js";
 
 const body = (states, key) => states?.get(key)?.body;
 
@@ -69,7 +68,7 @@ function Doing({ id, summary, states }) {
   const times = list.map((one) => one.at ?? null);
   const earliest = times.length && !times.includes(null) ? Math.max(...times) : null;
   const why = !now.fresh ? "Not known while the observatory node is silent." : row ? `Row ${row.row + 1} of ${rows.length}${row.detail ? `: ${row.detail}` : ""}.` : list.length ? `${list.length > 1 ? `${list.length} reasons keep it closed; they are` : "One reason keeps it closed; it is"} below.` : summary.mode === "robotic" ? "No row may run now." : `It is ${summary.mode}.`;
-  const until = row ? html`<b>${hourMinute(row.end_utc)} UTC</b>, in ${duration((Date.parse(row.end_utc) - (skyNow() ?? Date.parse(row.end_utc))) / 1000)}${row.frames_wanted ? `, ${Math.max(0, row.frames_wanted - row.frames)} frames more` : ""}.` : earliest ? html`<b>${clock(earliest)} UTC</b> at the earliest, in ${duration((earliest - sky) / 1000)}.` : list.length ? "Not known: see below." : "—";
+  const until = !now.fresh ? "Not known." : row ? html`<b>${hourMinute(row.end_utc)} UTC</b>, in ${duration((Date.parse(row.end_utc) - (skyNow() ?? Date.parse(row.end_utc))) / 1000)}${row.frames_wanted ? `, ${Math.max(0, row.frames_wanted - row.frames)} frames more` : ""}.` : earliest ? html`<b>${clock(earliest)} UTC</b> at the earliest, in ${duration((earliest - sky) / 1000)}.` : list.length ? "Not known: see below." : "—";
   const after = rows.find((one) => one.status === "interrupted" && Date.parse(one.end_utc) > sky) ?? next;
   const then = after ? ` Then ${[after.action, after.object].filter(Boolean).join(" ")}${after.status === "interrupted" ? " goes on" : ` at ${hourMinute(after.start_utc)}`}.` : "";
   const waits = !now.fresh ? "Not known." : list.length ? `${list.map((one) => one.what).join(", ").replace(/^./, (first) => first.toUpperCase())}.${then}` : row ? `Nothing.${next ? ` Next: ${[next.action, next.object].filter(Boolean).join(" ")} at ${hourMinute(next.start_utc)}.` : ""}` : next ? `${next.action} at ${hourMinute(next.start_utc)}.` : "Nothing.";
@@ -86,12 +85,14 @@ function Verdict({ id, summary, states }) {
   const entry = states?.get(`${id}/observatory/safety/state`);
   if (!entry) return html`<${Card} name="Safety"><p class="m">No verdict received yet.</p><//>`;
   const [since, skySince] = [ageOf(entry), skyAgeOf(entry)];
+  const state = stateOf(states, `${id}/observatory/safety/state`);
+  const fresh = state.worth === "fresh";
   const { suspended = [], advisories = [], inputs = [], since_utc: at } = entry.body;
-  return html`<${Card} name="Safety" flush testid="safety" end=${html`${entry.body.verdict} since <${Time} utc=${at} />`}>
-    ${[["No exposures of the sky", suspended], ["Near a limit", advisories]].map(([lead, list]) => list.length > 0 && html`<ul class="reasons" key=${lead}><li class="tagline">${lead}</li>${list.map((reason) =>
-      html`<li key=${reason.input}><b><${Input} input=${reason.input} /></b> ${reason.why} ${reason.clears_in_s != null && html`<span class="m nw">can clear in ${duration(Math.max(0, reason.clears_in_s - skySince))}</span>`}</li>`)}</ul>`)}
+  return html`<${Card} name="Safety" flush testid="safety" end=${fresh ? html`${entry.body.verdict} since <${Time} utc=${at} />` : html`<${Was} state=${state} word=${entry.body.verdict} />`}>
+    ${[[fresh ? "No exposures of the sky" : "No exposures of the sky, then", suspended], [fresh ? "Near a limit" : "Near a limit, then", advisories]].map(([lead, list]) => list.length > 0 && html`<ul class="reasons" key=${lead}><li class="tagline">${lead}</li>${list.map((reason) =>
+      html`<li key=${reason.input}><b><${Input} input=${reason.input} /></b> ${reason.why} ${fresh && reason.clears_in_s != null && html`<span class="m nw">can clear in ${duration(Math.max(0, reason.clears_in_s - skySince))}</span>`}</li>`)}</ul>`)}
     <${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: `Age${realTime()}`, num: true }]} rows=${inputs} keyOf=${(input) => input.input}
-      cells=${(input) => html`<td class="k"><${Input} input=${input.input} /></td><td>${inputValue(input)}${input.good ? "" : html` <b class="ink-p3">▼ unsafe</b>`}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + since} worth=${quality(since, entry.period_s)} never="never" /></td>`} /><//>`;
+      cells=${(input) => html`<td class="k"><${Input} input=${input.input} /></td><td>${inputValue(input)}${input.good ? "" : html` <b class="ink-p3">▼ ${fresh ? "" : "was "}unsafe</b>`}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + since} worth=${quality(since, entry.period_s)} never="never" /></td>`} /><//>`;
 }
 
 function Image({ summary, states, id }) {
@@ -104,7 +105,7 @@ function Image({ summary, states, id }) {
   const mine = (isNewest ? newest : asked.data?.facts) ?? {};
   const fwhm = mine.fwhm_px == null ? [null] : mine.scale_arcsec_px == null ? [number(mine.fwhm_px), "px"] : [number(mine.fwhm_px * mine.scale_arcsec_px, 2), "″"];
   const age = (skyNow() - Date.parse(shown.started_utc)) / 1000 - shown.exposure_s;
-  return html`<${Card} name="Last image" end=${html`<span class="age" data-testid="image-age">${clock(shown.started_utc)}, ${duration(age)} ago</span>`}>
+  return html`<${Card} name="Last image" end=${html`${!isNewest && html`<${Old} of=${asked} /> `}<span class="age" data-testid="image-age">${clock(shown.started_utc)}, ${duration(age)} ago</span>`}>
     <a href=${`/t/${id}/frames/${encodeURIComponent(shown.frame)}`} class="img" aria-label="Open the last frame"><${Picture} image=${shown} /></a>
     <p class="tagline">${[shown.object ?? shown.image_type, shown.filter ?? "no filter", `${plain(shown.exposure_s)} s`, shown.camera].join(" · ")}</p>
     <div class="stats four"><${Stat} name="FWHM" value=${fwhm[0]} unit=${fwhm[1]} /><${Stat} name="Stars" value=${mine.stars} /><${Stat} name="Sky" value=${mine.sky_adu != null ? number(mine.sky_adu, 0) : null} unit=${mine.sky_adu != null && "ADU"} /><${Stat} name="Trailed" value=${mine.trailed == null ? null : mine.trailed ? "yes" : "no"} level=${mine.trailed ? "p3" : null} /></div>
@@ -117,41 +118,44 @@ const nodeWords = (name) => { const [role, telescope, id] = String(name).split("
 function Command({ id, states }) {
   const lease = states?.get(`${id}/observatory/lease/state`);
   const guards = [...(states ?? [])].filter(([key]) => key.endsWith("/guard"));
+  const isFresh = (entry) => quality(ageOf(entry), entry.period_s) === "fresh";
   const age = (entry) => html`<${Age} s=${ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} after=" ago" />`;
   return html`<${Card} name="Who is in command" testid="command">
-    ${lease ? html`<p>${lease.body.holder ? html`In command is <b title=${`${lease.body.holder}, token ${lease.body.token}, granted by ${lease.body.arbiter}`}>${nodeWords(lease.body.holder)}</b>` : "No node is in command"} · ${age(lease)}</p>` : html`<p class="m">It is not known yet which node is in command.</p>`}
-    ${guards.map(([key, entry]) => html`<p key=${key}><b>${key.split("/")[4]}</b> ${entry.body.may_be_open ? "may be open" : "must be closed"}${entry.body.action === "closing" ? ", closing" : ""}${entry.body.verified_closed ? ", verified closed" : ""}${entry.body.hold ? ", closed by itself until the node in command goes on" : ""}. <span class="m">${(entry.body.permits ?? []).map((permit) => (permit.safe ? `${permit.telescope} says that it is safe; unless it says so again, this ends in ${number(Math.max(0, permit.left_s - ageOf(entry)), 0)} s${realTime()}. ` : `${permit.telescope} says that it is not safe. `))}${entry.body.permits?.length ? "" : "No telescope says that it is safe. "}</span> · ${age(entry)}</p>`)}<//>`;
+    ${lease ? html`<p>${lease.body.holder ? html`In command ${isFresh(lease) ? "is" : "was"} <b title=${`${lease.body.holder}, token ${lease.body.token}, granted by ${lease.body.arbiter}`}>${nodeWords(lease.body.holder)}</b>` : `No node ${isFresh(lease) ? "is" : "was"} in command`} · ${age(lease)}</p>` : html`<p class="m">It is not known yet which node is in command.</p>`}
+    ${guards.map(([key, entry]) => html`<p key=${key}><b>${key.split("/")[4]}</b>${isFresh(entry) ? "" : ", when it was last heard of:"} ${entry.body.may_be_open ? "may be open" : "must be closed"}${entry.body.action === "closing" ? ", closing" : ""}${entry.body.verified_closed ? ", verified closed" : ""}${entry.body.hold ? ", closed by itself until the node in command goes on" : ""}. <span class="m">${isFresh(entry) && (entry.body.permits ?? []).map((permit) => (permit.safe ? `${permit.telescope} says that it is safe; unless it says so again, this ends in ${number(Math.max(0, permit.left_s - ageOf(entry)), 0)} s${realTime()}. ` : `${permit.telescope} says that it is not safe. `))}${entry.body.permits?.length || !isFresh(entry) ? "" : "No telescope says that it is safe. "}</span> · ${age(entry)}</p>`)}<//>`;
 }
 
 /** How it guides: error of the last hour, both axes. */
 function GuidingCard({ id, summary, states }) {
-  const entry = states?.get(`${id}/observatory/guiding/state`);
+  const { body: guiding, worth } = stateOf(states, `${id}/observatory/guiding/state`);
   const past = useCorrections(id, 1);
   const axis = (name) => past.corrections.map((one) => [Date.parse(one.mid_utc), one[name]?.error_px ?? null]);
   const rms = summary.figures?.guide_rms_arcsec;
-  const worth = entry ? quality(ageOf(entry), entry.period_s) : "lost";
-  const shown = worth !== "fresh" ? null : rms != null ? [number(rms, 2), "″"] : Number.isFinite(entry.body.rms_px) && entry.body.active ? [number(entry.body.rms_px, 2), " px"] : null;
-  return html`<${Card} label="Guiding" testid="guiding-card"><header><h2><a href=${`/t/${id}/guiding`}>Guiding</a></h2><span class="end">${shown ? html`<span>RMS <b>${shown[0]}</b>${shown[1]}</span>` : "not guiding"}</span></header>
-    ${past.corrections.length ? html`<${Chart} plain label="Error of guiding, east and north, in the last hour" t0=${past.t1 - 3600e3} t1=${past.t1} now=${past.t1} panels=${[{ name: "", unit: "px", digits: 2, height: 84, limits: [], series: [{ name: "east", points: axis("east"), colour: "--s1", kind: "dots", size: 4 }, { name: "north", points: axis("north"), colour: "--s2", kind: "dots", size: 4 }] }]} />` : html`<p class="m">${entry?.body.detail ? plain(entry.body.detail) : past.error?.message ?? "No frame was guided on in the last hour."}</p>`}<//>`;
+  const shown = worth !== "fresh" ? null : rms != null ? [number(rms, 2), "″"] : Number.isFinite(guiding.rms_px) && guiding.active ? [number(guiding.rms_px, 2), " px"] : null;
+  return html`<${Card} label="Guiding" testid="guiding-card"><header><h2><a href=${`/t/${id}/guiding`}>Guiding</a></h2><span class="end"><${Old} of=${past} />${shown ? html`<span>RMS <b>${shown[0]}</b>${shown[1]}</span>` : worth === "fresh" ? "not guiding" : "not known"}</span></header>
+    ${past.corrections.length ? html`<${Chart} plain label="Error of guiding, east and north, in the last hour" t0=${past.t0} t1=${past.t1} now=${past.t1} panels=${[{ name: "", unit: "px", digits: 2, height: 84, limits: [], series: [{ name: "east", points: axis("east"), colour: "--s1", kind: "dots", size: 4 }, { name: "north", points: axis("north"), colour: "--s2", kind: "dots", size: 4 }] }]} />` : html`<p class="m">${worth === "fresh" && guiding.detail ? plain(guiding.detail) : past.error?.message ?? (past.data === null ? "Reading the corrections …" : "No frame was guided on in the last hour.")}</p>`}<//>`;
 }
 
 /** How sharp it is: FWHM of the newest frames. */
 function FocusCard({ id, summary, states }) {
-  const entry = states?.get(`${id}/observatory/focus/state`);
+  const { body: focus, worth } = stateOf(states, `${id}/observatory/focus/state`);
   const found = useGet(`/api/v1/telescopes/${id}/frames?image_type=light&limit=150`, 60);
-  const t1 = useMemo(() => skyNow(), [found.at]);
+  // It ends now, in steps of a minute.
+  const t1 = useMemo(() => skyNow(), [found.at, Math.floor((moment.value ?? 0) / 60e3)]);
   const t0 = t1 - 3 * 3600e3;
   const points = (found.data?.rows ?? []).map((row) => row.found_frame).filter((frame) => frame?.fwhm_arcsec != null && Date.parse(frame.at_utc) > t0).map((frame) => [Date.parse(frame.at_utc), frame.fwhm_arcsec]);
   const now = summary.figures?.fwhm_arcsec;
-  return html`<${Card} label="Focus" testid="focus-card"><header><h2><a href=${`/t/${id}/focus`}>Focus</a></h2><span class="end"><span>FWHM <b>${now != null && standing(summary).fresh ? number(now, 2) : "—"}</b>″</span></span></header>
-    ${points.length ? html`<${Chart} plain label="FWHM of the frames of the last three hours" t0=${t0} t1=${t1} now=${t1} panels=${[{ name: "", unit: "″", digits: 2, height: 70, zero: true, series: [{ name: "", points: broken(points), colour: "--s4", kind: "dots", size: 4 }] }]} />` : html`<p class="m">${entry?.body.detail ? plain(entry.body.detail) : "No frame of the last three hours is measured."}</p>`}<//>`;
+  return html`<${Card} label="Focus" testid="focus-card"><header><h2><a href=${`/t/${id}/focus`}>Focus</a></h2><span class="end"><${Old} of=${found} /><span>FWHM <b>${now != null && standing(summary).fresh ? number(now, 2) : "—"}</b>″</span></span></header>
+    ${points.length ? html`<${Chart} plain label="FWHM of the frames of the last three hours" t0=${t0} t1=${t1} now=${t1} panels=${[{ name: "", unit: "″", digits: 2, height: 70, zero: true, series: [{ name: "", points: broken(points), colour: "--s4", kind: "dots", size: 4 }] }]} />` : html`<p class="m">${worth === "fresh" && focus.detail ? plain(focus.detail) : found.error?.message ?? (found.data === null ? "Reading the frames …" : "No frame of the last three hours is measured.")}</p>`}<//>`;
 }
 
 function FramesCard({ id, summary, states }) {
-  const night = skyNow() && nightOf(skyNow());
-  const report = useReport(id, night);
+  const report = useReport(id, tonight(summary));
+  // What is announced after the report was made counts, too; before the first report, what the node has announced since its start.
+  const base = useMemo(() => summary.frames, [report.data]);
+  const taken = report.data?.disk ? report.data.disk.frames + Math.max(0, summary.frames - base) : summary.frames;
   const spooled = devicesOf(states).filter((device) => device.kind === "camera").reduce((sum, device) => sum + (Number(device.fields.spooled) || 0), 0);
-  return html`<${Card} label="Frames" testid="frames-card"><header><h2><a href=${`/t/${id}/frames`}>Frames</a></h2><span class="end">night so far</span></header><div class="stats three"><${Stat} name="Taken" value=${report.data?.disk?.frames ?? summary.frames} /><${Stat} name="Refused" value=${report.data ? report.data.refused_frames?.length ?? 0 : null} /><${Stat} name="Not yet archived" value=${spooled} /></div><//>`;
+  return html`<${Card} label="Frames" testid="frames-card"><header><h2><a href=${`/t/${id}/frames`}>Frames</a></h2><span class="end"><${Old} of=${report} />night so far</span></header><div class="stats three"><${Stat} name="Taken" value=${taken} worth=${standing(summary).fresh ? "fresh" : "stale"} /><${Stat} name="Refused" value=${report.data ? report.data.refused_frames?.length ?? 0 : null} /><${Stat} name="Not yet archived" value=${spooled} /></div><//>`;
 }
 
 /** The target of the row that runs: its place by its newest frame, else by where the mount points. */
@@ -165,13 +169,13 @@ function targetOf(states, id) {
 }
 
 /** Past, now and forecast on one axis. */
-function NightCard({ id, states, site }) {
+function NightCard({ id, summary, states, site }) {
   const schedule = body(states, `${id}/observatory/schedule/state`);
-  const night = skyNow() && nightOf(skyNow());
-  const report = useReport(id, night);
+  const report = useReport(id, tonight(summary));
   const plan = useForecast(id);
+  const safety = stateOf(states, `${id}/observatory/safety/state`);
   if (!skyNow()) return null;
-  return html`<${Card} name="The night" cls="tl" testid="night" end=${html`<${Keys} />`}><${Night} rows=${schedule?.rows} plan=${plan?.rows} target=${targetOf(states, id)} report=${report.data} verdicts=${body(states, `${id}/observatory/safety/state`)?.intervals} site=${site} now=${skyNow()} /><//>`;
+  return html`<${Card} name="The night" cls="tl" testid="night" end=${html`<${OldNight} report=${report} plan=${plan} /><${Keys} />`}><${Night} rows=${schedule?.rows} plan=${plan.data?.rows} target=${targetOf(states, id)} report=${report.data} verdicts=${safety.body?.intervals} until=${safety.until} site=${site} now=${skyNow()} /><//>`;
 }
 
 function Sky({ states, site }) {
@@ -181,13 +185,23 @@ function Sky({ states, site }) {
   return html`<${Card} name="Sky" end="north up, east left" testid="sky">${site && skyNow() ? html`<${SkyMap} mount=${mount?.worth === "fresh" ? mount.fields : null} dome=${dome?.worth === "fresh" ? dome.fields : null} site=${site} now=${skyNow()} />` : html`<p class="m">Where the telescope stands is not known yet.</p>`}<//>`;
 }
 
+/** @type {any} The part that shows webcams: it comes after the page, which most often has none. */
+const late = signal(null);
+
+function Webcams({ of }) {
+  useEffect(() => {
+    if (!late.peek()) import("../webcams.js").then((found) => { late.value = found.Webcams; }, () => { late.value = () => html`<p class="m">The server did not send what shows webcams; load the page again.</p>`; });
+  }, []);
+  return late.value && html`<${late.value} of=${of} />`;
+}
+
 export function Telescope({ id, summary }) {
   tick.value; // eslint-disable-line no-unused-expressions
   const states = useTopic(`tel/${id}`);
   const site = siteOf(summary);
   if (summary.shared) return html`<${Devices} id=${id} states=${states} />`;
   return html`<${Doing} id=${id} summary=${summary} states=${states} />
-    <${NightCard} id=${id} states=${states} site=${site} />
+    <${NightCard} id=${id} summary=${summary} states=${states} site=${site} />
     <div class="grid g3"><${Image} id=${id} summary=${summary} states=${states} /><${Sky} states=${states} site=${site} /><div class="stack"><${GuidingCard} id=${id} summary=${summary} states=${states} /><${FocusCard} id=${id} summary=${summary} states=${states} /><${FramesCard} id=${id} summary=${summary} states=${states} /></div></div>
     <${Guard} name="Webcams"><${Webcams} of=${[{ site: summary.site_id, telescope: summary.telescope_id }]} /><//>
     <div class="grid g-side"><${Verdict} id=${id} summary=${summary} states=${states} /><${Command} id=${id} states=${states} /></div>

@@ -1,11 +1,11 @@
 // Weather and safety: every parameter with its limits in view, every reason with the time it can clear, on one cursor.
 import { html, useSignal } from "../lib.js";
 import { Chart, pointsOf } from "../chart.js";
-import { devicesOf, known } from "../devices.js";
+import { devicesOf, known, stateOf } from "../devices.js";
 import { clock, duration, number } from "../format.js";
-import { SPANS, useHistory } from "../history.js";
+import { SPANS, spanWords, useHistory } from "../history.js";
 import { Input, PARAMETERS, inputValue, limitsOf } from "../inputs.js";
-import { Age, Bullet, Card, Empty, Guard, Loaded, Segment, Table, Time, Words, realTime, standing } from "../parts.js";
+import { Age, Bullet, Card, Empty, Guard, Loaded, Segment, Table, Time, Was, Words, realTime, standing } from "../parts.js";
 import { bySite } from "../shell.js";
 import { ageOf, net, quality, skyAgeOf, skyNow, tick, useTopic } from "../store.js";
 import { Webcams } from "../webcams.js";
@@ -13,20 +13,21 @@ import { Webcams } from "../webcams.js";
 /** What has these units is shown from nothing on. */
 const MEASURED_FROM_ZERO = ["m/s", "%", "mm/h"];
 
-/** Intervals in which the verdict was not safe, as pairs of times. */
-function unsafeTimes(safety, t0, now) {
-  const out = (safety?.intervals ?? []).map((interval) => [interval, Date.parse(interval.from_utc), interval.until_utc ? Date.parse(interval.until_utc) : now]).filter(([interval]) => interval.verdict !== "safe").map(([, from, to]) => [Math.max(from, t0), to]);
+/** Intervals in which the verdict was not safe, as pairs of times; the last one ends when it was last heard of. */
+function unsafeTimes({ body, worth, until }, t0, t1) {
+  const out = (body?.intervals ?? []).map((interval) => [interval, Date.parse(interval.from_utc), interval.until_utc ? Date.parse(interval.until_utc) : worth === "fresh" ? t1 : until]).filter(([interval]) => interval.verdict !== "safe").map(([, from, to]) => [Math.max(from, t0), to]);
   return out.filter(([from, to]) => to > from);
 }
 
-function Reasons({ id, summary, entry }) {
+function Reasons({ summary, entry, state }) {
   const now = standing(summary);
   const since = entry ? skyAgeOf(entry) : 0;
   const reasons = entry?.body.reasons ?? [];
   const sky = skyNow();
-  return html`<${Card} name="Safety" testid="reasons" end=${entry && html`since <${Time} utc=${entry.body.since_utc} />`}><div class="row"><${Words} now=${now} lg /></div>
+  const fresh = state.worth === "fresh";
+  return html`<${Card} name="Safety" testid="reasons" end=${entry && (fresh ? html`since <${Time} utc=${entry.body.since_utc} />` : html`<${Was} state=${state} word=${entry.body.verdict} />`)}><div class="row"><${Words} now=${now} lg /></div>
     ${!entry ? html`<p class="m">No verdict received yet.</p>` : reasons.length ? html`<${Table} label="Reasons" columns=${[{ key: "i", name: "Reason" }, { key: "w", name: "Why" }, { key: "c", name: "Can clear", num: true }]} rows=${reasons} keyOf=${(reason) => reason.input}
-      cells=${(reason) => { const left = reason.clears_in_s == null ? null : Math.max(0, reason.clears_in_s - since); return html`<td class="k"><${Input} input=${reason.input} /></td><td>${reason.why}</td><td class="num">${left === null ? "not known" : html`<b>${clock(sky + left * 1000)}</b>, in ${duration(left)}`}</td>`; }} />` : html`<p class="m">Every input of the verdict is good.</p>`}
+      cells=${(reason) => { const left = reason.clears_in_s == null || !fresh ? null : Math.max(0, reason.clears_in_s - since); return html`<td class="k"><${Input} input=${reason.input} /></td><td>${reason.why}</td><td class="num">${left === null ? "not known" : html`<b>${clock(sky + left * 1000)}</b>, in ${duration(left)}`}</td>`; }} />` : html`<p class="m">${fresh ? "Every input of the verdict is good." : "Every input of the verdict was good then."}</p>`}
     ${(entry?.body.advisories ?? []).map((advice) => html`<p class="note p3" key=${advice.input}><b><${Input} input=${advice.input} /></b> ${advice.why}</p>`)}<//>`;
 }
 
@@ -36,7 +37,7 @@ function Station({ id, device, inputs, safety }) {
   const owner = `${device.site}/${device.telescope}`;
   const past = useHistory(owner, measured.map(([property]) => `${device.kind}/${device.name}/${property}`), hours.value, 400);
   const series = (property) => past.series(`${device.kind}/${device.name}/${property}`);
-  return html`<${Card} name=${`${device.name}, now`} flush end=${html`<${Age} s=${device.age} worth=${device.worth} after=" ago" />`} testid="station"><${Table} label="Weather now" columns=${[{ key: "p", name: "Parameter" }, { key: "v", name: "Value", num: true }, { key: "s", name: "On its scale" }, { key: "l", name: "Limit", num: true }, { key: "r", name: "Least and most", num: true, cls: "hidep" }]} rows=${measured} keyOf=${([property]) => property}
+  return html`<${Card} name=${`${device.name}, now`} flush end=${html`<${Age} s=${device.age} worth=${device.worth} after=" ago" />`} testid="station"><${Table} label="Weather now" columns=${[{ key: "p", name: "Parameter" }, { key: "v", name: "Value", num: true }, { key: "s", name: "On its scale" }, { key: "l", name: "Limit", num: true }, { key: "r", name: `Least and most, ${spanWords(hours.value)}`, num: true, cls: "hidep" }]} rows=${measured} keyOf=${([property]) => property}
       cells=${([property, name, label, unit, scale, digits]) => {
         const value = device.worth === "lost" ? null : device.fields[name];
         const [limit] = limitsOf(inputs, device.name, property);
@@ -52,7 +53,7 @@ function Station({ id, device, inputs, safety }) {
         series: [{ name: "", head: `${label} mean`, points: pointsOf(series(property)), colour: "--s4" }, { name: "most", points: pointsOf(series(property), "max"), colour: "--s1", width: 0.7, quiet: true }, { name: "least", points: pointsOf(series(property), "min"), colour: "--s1", width: 0.7, quiet: true }] }));
       if (!panels.length) return html`<${Empty} icon="cloud" title="The archive has no weather of this time yet" />`;
       return html`<p class="tagline">Line: mean. Thin lines: least and most of each piece, so that a gust of seconds is seen over three days. Hatched: beyond a limit. Bar at the foot: not safe.</p>
-        <${Chart} t0=${past.t0} t1=${past.t1} now=${skyNow()} unsafe=${unsafeTimes(safety, past.t0, past.t1)} panels=${panels} />`;
+        <${Chart} t0=${past.t0} t1=${past.t1} now=${past.t1} unsafe=${unsafeTimes(safety, past.t0, past.t1)} panels=${panels} />`;
     }}<//><//>`;
 }
 
@@ -61,12 +62,13 @@ export function Weather({ id, summary }) {
   tick.value; // eslint-disable-line no-unused-expressions
   const states = useTopic(`tel/${id}`);
   const entry = states?.get(`${id}/observatory/safety/state`);
+  const state = stateOf(states, `${id}/observatory/safety/state`);
   const inputs = entry?.body.inputs ?? [];
   const stations = devicesOf(states).filter((device) => device.kind === "observingconditions");
-  return html`${!summary.shared && html`<div class="grid g-side"><${Reasons} id=${id} summary=${summary} entry=${entry} /><${Card} name="Inputs" flush><${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: `Age${realTime()}`, num: true }]} rows=${inputs} keyOf=${(input) => input.input}
+  return html`${!summary.shared && html`<div class="grid g-side"><${Reasons} summary=${summary} entry=${entry} state=${state} /><${Card} name="Inputs" flush><${Table} label="Inputs of the verdict" columns=${[{ key: "i", name: "Input" }, { key: "v", name: "Value" }, { key: "a", name: `Age${realTime()}`, num: true }]} rows=${inputs} keyOf=${(input) => input.input}
       cells=${(input) => html`<td class="k">${input.good ? "" : "▼ "}<${Input} input=${input.input} /></td><td>${inputValue(input)}</td><td class="num"><${Age} s=${input.age_s == null ? null : input.age_s + ageOf(entry)} worth=${quality(ageOf(entry), entry.period_s)} never="never" /></td>`} /><//></div>`}
     <${Guard} name="Webcams"><${Webcams} of=${[{ site: summary.site_id, telescope: summary.shared ? null : summary.telescope_id }]} /><//>
-    ${stations.length ? stations.map((device) => html`<${Station} key=${device.key} id=${id} device=${device} inputs=${inputs} safety=${entry?.body} />`) : html`<${Empty} icon="cloud" title="No weather station">None of this telescope or its site is on the bus.<//>`}`;
+    ${stations.length ? stations.map((device) => html`<${Station} key=${device.key} id=${id} device=${device} inputs=${inputs} safety=${state} />`) : html`<${Empty} icon="cloud" title="No weather station">None of this telescope or its site is on the bus.<//>`}`;
 }
 
 /** The weather of every site. */
@@ -74,7 +76,7 @@ export function AllWeather() {
   tick.value; // eslint-disable-line no-unused-expressions
   return html`<div class="page-h"><h1 tabindex="-1">Weather</h1></div>${[...bySite([...net.value.values()])].map(([site, telescopes]) => html`<section key=${site} class="stack" aria-label=${site}><h2>${site}</h2><div class="grid g3">${telescopes.map((summary) => {
     const now = standing(summary);
-    return html`<section class="card" key=${summary.id}><header><h2><a href=${`/t/${summary.id}/weather`}>${summary.telescope_id}</a></h2></header><${Words} now=${now} />${(summary.safety?.reasons ?? []).map((reason) => html`<p key=${reason.input}><b><${Input} input=${reason.input} /></b> ${reason.why}</p>`)}
+    return html`<section class="card" key=${summary.id}><header><h2><a href=${`/t/${summary.id}/weather`}>${summary.telescope_id}</a></h2></header><${Words} now=${now} />${(now.fresh ? summary.safety?.reasons ?? [] : []).map((reason) => html`<p key=${reason.input}><b><${Input} input=${reason.input} /></b> ${reason.why}</p>`)}
       ${summary.safety?.time_to_safe_s != null && now.safety === "unsafe" && html`<p class="m">Safe at the earliest in ${duration(summary.safety.time_to_safe_s)}.</p>`}<p><a class="btn sm soft" href=${`/t/${summary.id}/weather`}>Limits and history</a></p></section>`;
   })}</div><${Guard} name="Webcams"><${Webcams} of=${[{ site }]} /><//></section>`)}`;
 }
