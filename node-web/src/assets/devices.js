@@ -40,13 +40,13 @@ export function devicesOf(states) {
   }).sort((a, b) => Number(a.telescope === "shared") - Number(b.telescope === "shared") || order.indexOf(a.kind) - order.indexOf(b.kind) || a.name.localeCompare(b.name));
 }
 
-/** The state of a key: its body, what it is worth, and until when it is known, ms of the sky: now while it is fresh, else the time of the last one. @returns {{ body: any, worth: string, until: number | null, age: number | null }} */
+/** The state of a key: its body, what it is worth, and until when it is known, ms of the sky: without end while it is fresh, else the time of the last one. @returns {{ body: any, worth: string, until: number | null, age: number | null }} */
 export function stateOf(states, key) {
   const entry = states?.get(key);
   if (!entry) return { body: null, worth: "lost", until: null, age: null };
   const age = ageOf(entry);
   const worth = quality(age, entry.period_s);
-  return { body: entry.body, worth, until: worth === "fresh" ? skyNow() : Date.parse(entry.at_utc), age };
+  return { body: entry.body, worth, until: worth === "fresh" ? Infinity : Date.parse(entry.at_utc), age };
 }
 
 /** Its state in words. */
