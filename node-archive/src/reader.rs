@@ -140,7 +140,7 @@ impl Reader {
     }
 
     /// How far the guided frames of a telescope that were in the middle of their exposures in a span of time were from
-    /// their reference, px of their cameras, which are the keys.
+    /// their reference, px of their cameras, which are the keys. A reference itself was guided by nothing.
     pub fn guide_errors(
         &self,
         telescope: &str,
@@ -148,7 +148,7 @@ impl Reader {
         to: Utc,
     ) -> Result<BTreeMap<String, Vec<f64>>, DatabaseError> {
         let sql = "SELECT camera_name, shift_x, shift_y FROM guiding WHERE datetime >= ?1 AND datetime <= ?2
-                   AND telescope = ?3 AND shift_x IS NOT NULL AND shift_y IS NOT NULL";
+                   AND telescope = ?3 AND shift_x IS NOT NULL AND shift_y IS NOT NULL AND frame_id <> reference";
         let errors = self.list(sql, params![stamp(from), stamp(to), telescope], |row| {
             let (x_px, y_px): (f64, f64) = (row.get(1)?, row.get(2)?);
             Ok((row.get::<_, String>(0)?, x_px.hypot(y_px)))

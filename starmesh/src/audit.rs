@@ -100,10 +100,12 @@ fn verify(chains: &[Chain]) -> anyhow::Result<()> {
     let mut before = None;
     let mut places: HashMap<(String, u64), (String, &str)> = HashMap::new();
     for file in chains {
-        // A file that continues the chain of the one before it.
+        // A file that continues the chain of the one before it, and is no other copy of it.
         let first = file.text.split(|byte| *byte == b'\n').next().and_then(|first| std::str::from_utf8(first).ok());
         let first = first.and_then(|first| prove(first).ok());
-        let goes_on = |link: &audit::Link| first.as_ref().is_some_and(|first| first.record.chain == link.chain);
+        let goes_on = |link: &audit::Link| {
+            first.as_ref().is_some_and(|first| first.record.chain == link.chain && first.record.number > link.number)
+        };
         let found = examine(&file.text, before.as_ref().filter(|link| goes_on(link)));
         before = found.last();
         records += found.good.len();

@@ -19,12 +19,13 @@ pub struct Join {
 impl Join {
     /// Joins the bus; without an address, that of what runs here for this account.
     pub async fn open(&self) -> anyhow::Result<bus::Bus> {
+        // Several networks may run here, which have nothing to do with each other.
         let mut connect = self.connect.clone();
         if connect.is_empty() {
             connect.extend(running::all().into_iter().map(|running| running.bus));
         }
         let config = config::Bus { listen: Vec::new(), connect, multicast: !self.no_multicast };
-        Ok(bus::Bus::open(&config, bus::Clock::machine_clock()).await?)
+        Ok(bus::Bus::visit(&config, bus::Clock::machine_clock()).await?)
     }
 
     /// Where this looked, for the message that it found nothing.

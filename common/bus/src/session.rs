@@ -72,11 +72,21 @@ pub struct Alive {
 impl Bus {
     /// Joins the bus. An address of `listen` that another program holds is met instead of listened on.
     pub async fn open(config: &config::Bus, clock: Clock) -> Result<Self, BusError> {
+        Self::open_as(true, config, clock).await
+    }
+
+    /// As [`Self::open`], for a program that may look at several networks at once: it meets the peers of each, and introduces
+    /// none to another.
+    pub async fn visit(config: &config::Bus, clock: Clock) -> Result<Self, BusError> {
+        Self::open_as(false, config, clock).await
+    }
+
+    async fn open_as(introduces: bool, config: &config::Bus, clock: Clock) -> Result<Self, BusError> {
         let mut tries = 0;
         loop {
             // Roles of one file are started together: an address that was free may be taken a moment later.
             let config = listening::share(config);
-            let opened = match zenoh::Config::from_json5(&settings(&config).to_string()) {
+            let opened = match zenoh::Config::from_json5(&settings(introduces, &config).to_string()) {
                 Ok(settings) => zenoh::open(settings).await,
                 Err(error) => Err(error),
             };
@@ -131,7 +141,9 @@ impl Bus {
     }
 }
 
-fn settings(config: &config::Bus) -> serde_json::Value {
+fn settings(introduces: bool, config: &config::Bus) -> serde_json::Value {
+    // Whom it tells of the others. There is no router, so a list of routers is nobody.
+    let told = if introduces { ["router", "peer"].as_slice() } else { &["router"] };
     let listen = match (config.listen.is_empty(), config.multicast) {
         (false, _) => config.listen.clone(),
         (true, true) => vec!["tcp/0.0.0.0:0".to_owned()],
@@ -148,7 +160,7 @@ fn settings(config: &config::Bus) -> serde_json::Value {
             "retry": { "period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5 },
         },
         // Peers do not relay: gossip is what connects those that met through a third.
-        "scouting": { "delay": 200, "multicast": { "enabled": config.multicast }, "gossip": { "enabled": true } },
+        "scouting": { "delay": 200, "multicast": { "enabled": config.multicast }, "gossip": { "enabled": true, "target": { "peer": told } } },
         "timestamping": { "enabled": true },
         "queries_default_timeout": 3000,
         "transport": {

@@ -230,3 +230,21 @@ mod proof {
         assert!(took < Duration::from_secs(10), "{took:?}");
     }
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_visits_two_networks_meets_all_of_both_and_joins_them_not() {
+    let ((first, second), (third, fourth)) = (pair().await, pair().await);
+    let connect = [first.locators().await, third.locators().await].concat();
+    let config = config::Bus { listen: Vec::new(), connect, multicast: false };
+    let visitor = Bus::visit(&config, Clock::machine_clock()).await.unwrap();
+    let began = Instant::now();
+    while visitor.peers().await < 4 {
+        assert!(began.elapsed() < LIMIT, "it does not meet those that it has no address of: {}", visitor.peers().await);
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    // Who was introduced to somebody meets him at once; on a slow machine this shows less.
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    for one in [&first, &second, &third, &fourth] {
+        assert_eq!(one.peers().await, 2, "its neighbour and the visitor");
+    }
+}

@@ -172,15 +172,21 @@ fn add(options: Add) -> anyhow::Result<()> {
     // Once before the password is asked for, and once when it is written.
     before.is_free(&name)?;
     let hash = PasswordHash::of_new(&password.get(&name)?, name.as_str())?;
-    file.edit(|users| {
+    let has_engineer = file.edit(|users| {
         users.is_free(&name)?;
         users.users.insert(name.clone(), User { password: hash, grants: rights.clone() });
-        Ok(())
+        Ok(users.has_engineer())
     })?;
     line(format_args!("{name} may log in as {} ({})", shown(&rights), path.display()))?;
     file.print_strange(&rights)?;
     if before.users.is_empty() {
         line(format_args!("from now on everybody has to log in at the page, also on this host"))?;
+    }
+    if !has_engineer {
+        line(format_args!(
+            "nobody is an engineer of all telescopes yet, so nobody changes users on the page: `starmesh user right {name} engineer` \
+             makes one"
+        ))?;
     }
     Ok(())
 }
