@@ -31,6 +31,10 @@ pub struct Options {
     /// How long to wait until a close order is verified closed, s; 0 does not wait.
     #[arg(long, value_name = "SECONDS", default_value_t = 300.0, global = true)]
     wait: f64,
+    /// How long an order that closes is asked for where no observatory node answers and the domes have closed, s: one that
+    /// comes back may open again else.
+    #[arg(long, value_name = "SECONDS", default_value_t = orders::GIVEN_ON.as_secs_f64(), global = true)]
+    give_on: f64,
     #[command(flatten)]
     join: Join,
 }
@@ -122,10 +126,10 @@ const TRIES: u32 = 5;
 
 /// Gives the order and prints what became of it.
 pub async fn run(options: Options) -> anyhow::Result<()> {
-    let Options { telescope, what, reason, operator, wait, join } = options;
-    let wait = Duration::from_secs_f64(wait.clamp(0.0, 86_400.0));
+    let Options { telescope, what, reason, operator, wait, give_on, join } = options;
+    let [verified, heard] = [wait, give_on].map(|time_s| Duration::from_secs_f64(time_s.clamp(0.0, 86_400.0)));
     let kind = what.form.fill(&what.given, &reason)?;
-    give(&telescope, kind, By { operator, reason }, wait, join).await
+    give(&telescope, kind, By { operator, reason }, Waits { verified, heard }, join).await
 }
 
 /// The operator of an order, where a name was given, and the reason.
@@ -136,15 +140,23 @@ pub struct By {
     pub reason: String,
 }
 
-/// Gives an order to a telescope, named as SITE/TELESCOPE, and prints the result; waits so long until a close order is
-/// verified closed.
-pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join: Join) -> anyhow::Result<()> {
+/// How long an order that closes is waited for.
+#[derive(Clone, Copy, Default)]
+pub struct Waits {
+    /// Until it is verified closed.
+    pub verified: Duration,
+    /// After that, until an observatory node that did not answer takes it.
+    pub heard: Duration,
+}
+
+/// Gives an order to a telescope, named as SITE/TELESCOPE, and prints the result.
+pub async fn give(telescope: &str, kind: OrderKind, by: By, waits: Waits, join: Join) -> anyhow::Result<()> {
     check_reason(&by.reason)?;
     let order = Order { id: CommandId::fresh(), from: from(by.operator)?, reason: by.reason, kind, seen: None };
     let bus = join.open().await?;
     let address = telescopes::read(telescope, &bus, &join).await?;
     if closes(&order.kind) {
-        close(&bus, &address, &order, wait, &join).await?;
+        close(&bus, &address, &order, waits, &join).await?;
     } else {
         accept(&bus, &address, &order, &join).await?;
         line(format_args!("accepted"))?;
@@ -184,7 +196,8 @@ fn refused(error: &NotAccepted) -> anyhow::Error {
 }
 
 /// Gives an order that closes, to whoever answers, and prints who takes it and who has closed.
-async fn close(bus: &bus::Bus, address: &Address, order: &Order, wait: Duration, join: &Join) -> anyhow::Result<()> {
+async fn close(bus: &bus::Bus, address: &Address, order: &Order, waits: Waits, join: &Join) -> anyhow::Result<()> {
+    let Waits { verified: wait, heard } = waits;
     // The subscriptions begin before the order is given, so that no effect is missed.
     let follower = Follower::open(bus, address).await?;
     let until = match wait.is_zero() {
@@ -215,10 +228,12 @@ async fn close(bus: &bus::Bus, address: &Address, order: &Order, wait: Duration,
     if !wait.is_zero() {
         line(format_args!("{}", taken.closed_words()))?;
     }
-    match taken.warning() {
-        Some(warning) if matches!(order.kind, OrderKind::Close) => line(format_args!("but {warning}")),
-        Some(warning) => bail!("it was only closed, and nothing else was ordered: {warning}"),
-        None => Ok(()),
+    let Some(warning) = taken.warning() else { return Ok(()) };
+    line(format_args!("but {warning}. It is asked for {} s more", heard.as_secs()))?;
+    match orders::give_on(bus, address, order, heard).await {
+        Ok(()) => line(format_args!("{}", orders::HEARD_LATER)),
+        Err(error) if error.is_silence() => bail!("it was only closed: no observatory node has taken the order"),
+        Err(error) => Err(refused(&error)),
     }
 }
 

@@ -13,7 +13,7 @@ use schedule::read_text;
 
 use crate::console::{document_line, foreign_line};
 use crate::join::Join;
-use crate::order::By;
+use crate::order::{By, Waits};
 use crate::{check, order, telescopes};
 
 /// A session that has just opened does not know all its peers.
@@ -95,8 +95,14 @@ pub async fn run(command: ScheduleCommand) -> anyhow::Result<()> {
                 );
             }
             let by = By { operator: put.operator, reason: put.reason };
-            order::give(&put.telescope, OrderKind::PutSchedule { text, instead_of: None }, by, Duration::ZERO, put.join)
-                .await
+            order::give(
+                &put.telescope,
+                OrderKind::PutSchedule { text, instead_of: None },
+                by,
+                Waits::default(),
+                put.join,
+            )
+            .await
         }
         ScheduleCommand::Compress(options) => crate::compress::run(&options),
         ScheduleCommand::Rows(rows) => show_rows(rows).await,

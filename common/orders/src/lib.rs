@@ -211,6 +211,26 @@ pub async fn close(
     }
 }
 
+/// So long an order that closes and that only the domes took is given on, machine time: an observatory node that hangs is
+/// started again within half a minute, and would open again by its schedule.
+pub const GIVEN_ON: Duration = Duration::from_secs(120);
+/// How the observatory node heard of such an order.
+pub const HEARD_LATER: &str = "the observatory node is back, and has taken the order";
+
+/// Gives an order that only the domes took to the observatory node, until that answers or the time is over.
+///
+/// # Errors
+/// It did not answer, or refuses.
+pub async fn give_on(bus: &Bus, address: &Address, order: &Order, within: Duration) -> Result<(), NotAccepted> {
+    let began = Instant::now();
+    loop {
+        match give(bus, address, order).await {
+            Err(error) if error.is_silence() && began.elapsed() < within => tokio::time::sleep(PAUSE).await,
+            answer => return answer,
+        }
+    }
+}
+
 /// Why a telescope is not verified closed after an order that closes.
 #[derive(Debug, thiserror::Error)]
 pub enum NotClosed {

@@ -236,6 +236,12 @@ async fn close(
             // The domes close, and do nothing else that was ordered.
             let is_whole = taken == TakenBy::Observatory || form.word == CLOSE;
             command.note(if is_whole { Progress::Done } else { Progress::Failed }, Some(detail), utc());
+            if taken != TakenBy::Observatory
+                && orders::give_on(&server.bus, address, order, orders::GIVEN_ON).await.is_ok()
+            {
+                let detail = format!("{}; {}", taken.closed_words(), orders::HEARD_LATER);
+                command.note(Progress::Done, Some(detail), utc());
+            }
         }
         Err(NotDone::NotClosed(error)) => command.note(Progress::Failed, Some(error.to_string()), utc()),
         Err(NotDone::NotAccepted(error)) => {

@@ -247,7 +247,15 @@ async fn a_close_that_no_observatory_node_answers_is_carried_out_by_the_dome() {
 
     // Closed, and nobody has noted that it is to stay so.
     let (_, state, location) = post(&stage, Some("b"), None, json!({"command": "stay-closed"})).await;
-    let failed = stage.until(&location.unwrap(), |state| state["state"] == "failed").await;
+    let location = location.unwrap();
+    let failed = stage.until(&location, |state| state["state"] == "failed").await;
     assert!(failed["detail"].as_str().unwrap().starts_with("verified closed by the guard"), "{state} {failed}");
+
+    // One that comes back does not open again.
+    let (_observatory, orders) = observatory(&stage).await;
+    let _night = night(&stage).await;
+    let done = stage.until(&location, |state| state["state"] == "done").await;
+    assert!(done["detail"].as_str().unwrap().ends_with("is back, and has taken the order"), "{done}");
+    assert!(orders.lock().unwrap().iter().any(|order| order.kind == OrderKind::StayClosed(true)));
     stage.end().await;
 }

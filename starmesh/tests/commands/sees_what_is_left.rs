@@ -60,8 +60,9 @@ async fn a_close_order_that_no_observatory_node_answers_goes_to_the_dome_and_no_
     assert!(message.contains("device/enclosure") && !message.contains("did you mean"), "{message}");
     assert!(alone.dome.commands.lock().unwrap().is_empty(), "nothing closes by itself at another order");
 
-    let output = alone.starmesh(&["order", "paranal/europa", "close", "--operator", "ana"]).await;
-    assert!(output.success, "{}{}", output.out, output.err);
+    let output = alone.starmesh(&["order", "paranal/europa", "close", "--operator", "ana", "--give-on", "0"]).await;
+    // It is closed, and a script must not take that for kept.
+    assert!(!output.success && output.err.contains("no observatory node has taken the order"), "{}", output.err);
     assert!(
         output.out.contains("the device node of paranal/europa/dome/dome_1 was ordered to close"),
         "{}",
@@ -77,7 +78,7 @@ async fn a_close_order_that_no_observatory_node_answers_goes_to_the_dome_and_no_
     }
 
     // It is closed, and nobody has noted that it is to stay so.
-    let output = alone.starmesh(&["order", "paranal/europa", "stay-closed"]).await;
+    let output = alone.starmesh(&["order", "paranal/europa", "stay-closed", "--give-on", "0"]).await;
     assert!(!output.success && output.err.contains("only closed"), "{}{}", output.out, output.err);
     assert!(output.out.contains("verified closed by the guard"), "{}", output.out);
 
