@@ -181,7 +181,7 @@ fn rewrite(path: &Path, header: &[u8], old_length: u64) -> Result<(), Completion
         let mut new = OpenOptions::new().write(true).create_new(true).open(&part)?;
         new.write_all(header)?;
         io::copy(&mut old, &mut new)?;
-        node::private::make_public_file(&part)?;
+        node::private::keep_permissions(path, &new);
         new.sync_all()
     });
     written.map_err(|source| failed("write", &part, source))?;

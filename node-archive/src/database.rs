@@ -29,6 +29,7 @@ use tokio::sync::{Notify, mpsc, oneshot};
 
 pub(crate) use backup::restore;
 pub use backup::{backup, copy_now};
+pub(crate) use guiding::holding;
 pub(crate) use make::make;
 pub use stamp::stamp;
 use streams::Streams;

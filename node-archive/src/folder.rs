@@ -125,6 +125,12 @@ fn prepare(images: &Path, telescope: &Address) -> io::Result<()> {
     Ok(())
 }
 
+/// Whether the folder of images is there with the archive's own folder in it: where that is missing, the disk is away, and
+/// a file that is not there was not removed.
+pub fn is_here(images: &Path) -> bool {
+    images.join(PART_FOLDER).is_dir()
+}
+
 /// Removes what a kill left half written by this telescope's archive. Only under a [`Claim`].
 pub fn clear_parts(images: &Path, telescope: &Address) -> io::Result<()> {
     for entry in fs::read_dir(parts(images, telescope))? {

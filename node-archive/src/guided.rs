@@ -1,7 +1,10 @@
 //! The keyword that guiding makes in a header: how well the telescope was held during the exposure.
 //!
 //! It is in the header of every frame during which guiding measured something, whether the site's table lists it or not,
-//! as the keywords of [`crate::quality`]. A frame that is guided on itself counts for its own exposure.
+//! as the keywords of [`crate::quality`]. A frame that is guided on itself counts for its own exposure. Which guided frames
+//! count, the database says, for its views too (`database/guiding.rs`).
+
+use std::time::Duration;
 
 use contract::device::camera::Frame;
 use units::Utc;
@@ -12,8 +15,10 @@ use crate::plan::Plan;
 use crate::quality::GUIDED;
 use crate::reader::Reader;
 
-/// Guiding runs if it measured a frame in this time before an exposure, or in the time of one exposure before it; sky s.
+/// Guiding runs if it looked at a frame in this time before an exposure, or in the time of one exposure before it; sky s.
 const RUNS_S: f64 = 60.0;
+/// A header waits so long for what guiding measured, machine time: it is published behind the pulses that follow from it.
+const TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The begin of the line of history of a frame without the keyword.
 const NOT_GUIDED: &str = "not guided, as far as known at completion";
@@ -23,12 +28,7 @@ const NOT_GUIDED: &str = "not guided, as far as known at completion";
 /// # Errors
 /// The database.
 pub fn plan(reader: &Reader, telescope: &str, frame: &Frame) -> Result<Plan, DatabaseError> {
-    let (from, to) = span(frame);
-    let mut by_camera = reader.guide_errors(telescope, from, to)?;
-    // Pixels of two cameras are two units: its own where it is guided on itself, else those of the camera that measured most.
-    let own = by_camera.remove_entry(&frame.camera);
-    let of_one = own.or_else(|| by_camera.into_iter().max_by_key(|(_, errors_px)| errors_px.len()));
-    let (_, errors_px) = of_one.unwrap_or_default();
+    let errors_px = reader.guide_errors(telescope, &frame.camera, span(frame))?;
     Ok(match rms(&errors_px) {
         Some(rms_px) => {
             let comment = format!("[pix] rms guide error, guide frames: {}", errors_px.len());
@@ -44,18 +44,17 @@ pub fn plan(reader: &Reader, telescope: &str, frame: &Frame) -> Result<Plan, Dat
 }
 
 /// Whether the telescope is being guided, and what was measured during this exposure is still to come: a frame that is
-/// guided on itself is measured after it was stored.
+/// guided on itself is measured after it was stored. `waited` is how long its header has waited.
 ///
 /// # Errors
 /// The database.
-pub fn is_awaited(reader: &Reader, telescope: &str, frame: &Frame) -> Result<bool, DatabaseError> {
-    if frame.purpose.action != "object" {
+pub fn is_awaited(reader: &Reader, telescope: &str, frame: &Frame, waited: Duration) -> Result<bool, DatabaseError> {
+    if frame.purpose.action != "object" || waited >= TIMEOUT {
         return Ok(false);
     }
     let (from, to) = span(frame);
     let before = from.plus_seconds(-(RUNS_S + 2.0 * frame.exposure_s));
-    let runs = !reader.guide_errors(telescope, before, from)?.is_empty();
-    Ok(runs && reader.guide_errors(telescope, from, to)?.is_empty())
+    Ok(reader.is_guided(telescope, (before, from))? && !reader.is_guided(telescope, (from, to))?)
 }
 
 /// The exposure of a frame.

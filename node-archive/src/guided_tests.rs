@@ -1,15 +1,15 @@
 //! The keyword of guiding, from corrections in a real database.
 
-use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use bus::Clock;
-use contract::device::camera::{Pixel, Purpose};
-use contract::observatory::Correction;
+use contract::device::camera::Purpose;
+use contract::observatory::{AxisCorrection, Correction, FrameFacts};
 use contract::{BootId, CommandId};
 use node::NodeAlerts;
 
 use super::*;
-use crate::database::{Database, StoredCorrection, Write};
+use crate::database::{Database, StoredCorrection, StoredFacts, StoredImage, Write};
 
 const START: &str = "2026-11-21T03:00:00Z";
 
@@ -19,23 +19,8 @@ fn at(second: f64) -> Utc {
 
 /// A frame of 30 s of this action, which began so many seconds after [`START`].
 fn frame(action: &str, second: f64) -> Frame {
-    Frame {
-        id: CommandId("frame-1".to_owned()),
-        camera: "andor".to_owned(),
-        purpose: Purpose { action: action.to_owned(), ..Purpose::default() },
-        width_px: 4,
-        height_px: 2,
-        planes: 1,
-        pixel: Pixel::U16,
-        bin: 1,
-        origin_px: [0, 0],
-        started_utc: at(second),
-        exposure_s: 30.0,
-        url: String::new(),
-        bytes: 16,
-        sha256: String::new(),
-        readings: BTreeMap::new(),
-    }
+    let purpose = Purpose { action: action.to_owned(), ..Purpose::default() };
+    Frame { purpose, started_utc: at(second), exposure_s: 30.0, ..test_support::frame("frame-1") }
 }
 
 /// A correction of a frame whose stars stood so far from where they are held.
@@ -95,12 +80,15 @@ async fn guide_errors_during_the_exposure_make_the_keyword_and_those_of_other_te
     assert!(guided.cards[0].record().unwrap().contains("[pix] rms guide error, guide frames: 2"));
     assert!(guided.history.is_empty());
     // The next exposure is guided too, and what was measured during it is still to come.
-    assert!(is_awaited(&reader, "callisto", &frame("object", 32.0)).unwrap());
-    assert!(!is_awaited(&reader, "callisto", &frame("object", 0.0)).unwrap());
-    assert!(!is_awaited(&reader, "callisto", &frame("calibration", 32.0)).unwrap());
+    let awaited =
+        |frame: &Frame, waited_s| is_awaited(&reader, "callisto", frame, Duration::from_secs(waited_s)).unwrap();
+    assert!(awaited(&frame("object", 32.0), 0));
+    assert!(!awaited(&frame("object", 0.0), 0) && !awaited(&frame("calibration", 32.0), 0));
+    // Pulses of some seconds are given before it is published.
+    assert_eq!([6, 9, 10].map(|waited_s| awaited(&frame("object", 32.0), waited_s)), [true, true, false]);
     // An hour later nothing is guided: nothing is awaited, and the history says why there is no keyword.
     let alone = frame("object", 3600.0);
-    assert!(!is_awaited(&reader, "callisto", &alone).unwrap());
+    assert!(!awaited(&alone, 0));
     let plan_alone = plan(&reader, "callisto", &alone).unwrap();
     assert!(plan_alone.cards.is_empty());
     assert_eq!(plan_alone.history, ["not guided, as far as known at completion: GUIDERMS"]);
@@ -138,11 +126,76 @@ async fn a_frame_counts_what_was_measured_from_its_first_to_its_last_moment_and_
     // Stars were lost in the whole exposure: there is no number, and the history says so.
     let lost = plan(&reader, "callisto", &frame("object", 3600.0)).unwrap();
     assert_eq!((lost.cards.len(), lost.history.len()), (0, 1));
+    // What was looked at in vain is not awaited.
+    let looked = |second| is_awaited(&reader, "callisto", &frame("object", second), Duration::ZERO).unwrap();
+    assert_eq!([3600.0, 3625.0].map(looked), [false, true]);
     // A frame without any exposure is one moment.
     let mut moment = frame("object", 30.0);
     moment.exposure_s = 0.0;
     assert_eq!(plan(&reader, "callisto", &moment).unwrap().cards[0].value, CardValue::Float(8.0));
     assert!(plan(&reader, "europa", &frame("object", 0.0)).unwrap().cards.is_empty());
+    drop(database);
+    writer.end().await;
+}
+
+/// A camera of its own guides, and the first frame of the row, too, is looked at.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_frames_that_guided_are_the_same_for_the_keyword_and_for_the_view_of_the_database() {
+    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
+    let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("archive.db");
+    let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
+    let image = |id: &str, second: f64| {
+        let frame = Frame { id: CommandId(id.to_owned()), ..frame("object", second) };
+        let image = StoredImage { frame, file: format!("{id}.fits"), bytes: 5760, stored: at(second + 40.0) };
+        Write::Stored(Box::new(image), PathBuf::from(id))
+    };
+    // A pixel of both is 2 arcsec.
+    let scale = |id: &str, camera: &str| {
+        let (frame, camera) = (CommandId(id.to_owned()), Some(camera.to_owned()));
+        let facts = FrameFacts { frame, camera, scale_arcsec_px: Some(2.0), ..Default::default() };
+        Write::Facts(Box::new(StoredFacts { facts, at: at(0.0), origin: (BootId::fresh(), 0) }))
+    };
+    let correction = |id: &str, camera: &str, second: f64, off_px: f64| {
+        let axis = |error_px| AxisCorrection { error_px: Some(error_px), ..sample.east.clone() };
+        let correction = Correction {
+            frame: CommandId(id.to_owned()),
+            camera: camera.to_owned(),
+            mid_utc: at(second),
+            reference: CommandId("reference".to_owned()),
+            east: axis(off_px),
+            north: axis(0.0),
+            ..off(&sample, Some(off_px))
+        };
+        let stored = StoredCorrection { correction, telescope: "callisto".to_owned(), origin: (BootId::fresh(), 0) };
+        Write::Correction(Box::new(stored))
+    };
+    let writes = vec![
+        image("own", 0.0),
+        image("other", 100.0),
+        scale("own", "andor"),
+        scale("g-1", "guider"),
+        // Guided on itself; what the guide camera saw meanwhile is in other pixels, whatever their number.
+        correction("own", "andor", 15.0, 3.0),
+        correction("g-1", "guider", 10.0, 50.0),
+        correction("g-2", "guider", 20.0, 50.0),
+        // Guided by the guide camera, whose first frame is the reference, and by a frame of a third one.
+        correction("reference", "guider", 101.0, 0.0),
+        correction("g-3", "guider", 110.0, 6.0),
+        correction("g-4", "guider", 120.0, 8.0),
+        correction("third", "third", 115.0, 50.0),
+    ];
+    database.commit(writes).await.unwrap();
+    let reader = Reader::open(&path, "callisto").unwrap();
+    let view = rusqlite::Connection::open(&path).unwrap();
+    for (id, second, rms_px) in [("own", 0.0, 3.0), ("other", 100.0, 50_f64.sqrt())] {
+        let keyword = plan(&reader, "callisto", &frame("object", second)).unwrap().cards.remove(0).value;
+        assert_eq!(keyword, CardValue::Float(rms_px), "{id}");
+        let sql = "SELECT guide_rms_arcsec FROM frames WHERE frame_id = ?";
+        let rms_arcsec: f64 = view.query_row(sql, [id], |row| row.get(0)).unwrap();
+        assert!((rms_arcsec - 2.0 * rms_px).abs() < 1e-9, "{id}: {rms_arcsec}");
+    }
     drop(database);
     writer.end().await;
 }

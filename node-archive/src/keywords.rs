@@ -27,26 +27,31 @@ pub fn page() -> Result<String, profile::ProfileError> {
             dtype(row.dtype),
             source(row),
             if row.fixed { "when the file is written" } else { "when the header is completed" },
-            row.comment
+            meaning(row)
         );
     }
-    page.push_str("\n### Of every file, whatever its table lists\n\n| keyword | source | meaning |\n|---|---|---|\n");
-    for (keyword, comment) in header::of_every_file() {
-        let _ = writeln!(page, "| `{keyword}` | known when the file is written | {comment} |");
-    }
-    for (keyword, comment) in astronomy::MIDDLE {
-        let _ = writeln!(page, "| `{keyword}` | computed | {comment} |");
+    let is_listed = |keyword: &str| table.rows.iter().any(|row| row.keyword == keyword);
+    let known = header::of_every_file().map(|(keyword, comment)| (keyword, "known when the file is written", comment));
+    let computed = astronomy::MIDDLE.into_iter().map(|(keyword, comment)| (keyword, "computed", comment));
+    let (listed, others): (Vec<_>, Vec<_>) = known.chain(computed).partition(|(keyword, ..)| is_listed(keyword));
+    let of_bytes = ["DATASUM", "CHECKSUM"].map(|keyword| (keyword, "", ""));
+    let listed: Vec<String> = listed.iter().chain(&of_bytes).map(|(keyword, ..)| format!("`{keyword}`")).collect();
+    page.push_str("\n### Of every file, whatever its table lists\n\n");
+    let _ = writeln!(page, "Of those above: {}. And:\n", listed.join(", "));
+    page.push_str("| keyword | source | meaning |\n|---|---|---|\n");
+    for (keyword, source, comment) in others {
+        let _ = writeln!(page, "| `{keyword}` | {source} | {comment} |");
     }
     for (keyword, comment) in quality::all() {
         let _ = writeln!(page, "| `{keyword}` | measured on the frame | {comment} |");
     }
     let _ =
         writeln!(page, "| `{GUIDED}` | guiding during the exposure | [pix] rms guide error, px of the guide frames |");
-    let plain: Vec<String> = solution::PLAIN.iter().map(|keyword| format!("`{keyword}`")).collect();
+    let plain = solution::PLAIN.into_iter().filter(|keyword| !is_listed(keyword));
+    let plain: Vec<String> = plain.map(|keyword| format!("`{keyword}`")).collect();
     let _ = writeln!(page, "| {} | plate solution | world coordinates, whole or not at all |", plain.join(", "));
     page.push_str("| `A_*`, `B_*`, `AP_*`, `BP_*` | plate solution | distortion, where the optics distort |\n");
     page.push_str("| `OBJALT`, `OBJAZ` | computed | [deg] direction of the target at start, unrefracted |\n");
-    page.push_str("| `DATASUM`, `CHECKSUM` | the file's bytes | sums of pixels, and of header and pixels |\n");
     page.push_str(&profile::page()?);
     Ok(page)
 }
@@ -66,9 +71,22 @@ fn source(row: &HeaderRow) -> String {
         Source::Static(text) if text.is_empty() => "the table; empty: left out, or from the configuration".to_owned(),
         Source::Static(text) => format!("the table: {text}"),
         Source::Computed => "computed".to_owned(),
+        Source::Property(kind, property) if is_place(row) => {
+            format!("the target, known when the file is written; without one {} `{property}`", kind.ascom())
+        }
         Source::Property(kind, property) => format!("{} `{property}`", kind.ascom()),
         Source::Metadata(key) => format!("`metadata` of the row: {key}"),
     }
+}
+
+/// Whether a row is about the place of the target, or without one about that of the mount.
+fn is_place(row: &HeaderRow) -> bool {
+    matches!(row.keyword.as_str(), "RA" | "DEC")
+}
+
+fn meaning(row: &HeaderRow) -> String {
+    let of_target = header::of_every_file().find(|(keyword, _)| is_place(row) && *keyword == row.keyword);
+    of_target.map_or_else(|| row.comment.clone(), |(_, comment)| format!("{comment}; without a target {}", row.comment))
 }
 
 #[cfg(test)]

@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use bus::{MachineTime, Publisher};
+use config::Observatory;
 use config::header::{HeaderTable, Source};
-use config::{EquatorialChoice, Observatory};
 use contract::archive::Stored;
 use contract::device::camera::Frame;
 use contract::device::telescope::EquatorialSystem;
@@ -20,10 +20,11 @@ use node::Node;
 use tokio::sync::Notify;
 
 use crate::completion::{Completer, CompletionError, read_header};
-use crate::database::{Database, StoredFacts, StoredImage, Write};
+use crate::database::{Database, DatabaseError, StoredFacts, StoredImage, Write};
 use crate::facts;
-use crate::folder::{PART_FOLDER, without_links};
-use crate::header::{Around, Later, completion, needed, unknown_before};
+use crate::folder::{is_here, without_links};
+use crate::header::{Later, completion, needed, unknown_before};
+use crate::interpolate::{Around, Rest, flag_of};
 use crate::pairing::pairing;
 use crate::plan::Plan;
 use crate::quality::GUIDED;
@@ -112,12 +113,21 @@ pub fn complete_image(
     let camera = config.address().device(Kind::Camera, &frame.camera.parse()?);
     let devices = pairing(config, &camera, frame);
     let _snapshot = reader.snapshot()?;
+    let holds_s = site.holds_s();
+    let rests = rests(reader, &devices, frame, holds_s)?;
+    let look = |kind: Kind, device: &Device, property: &str| {
+        // A focuser that has moved is as warm as before.
+        let rest = rests.get(&kind).filter(|_| property != "Temperature").copied().unwrap_or_default();
+        let around = reader.around(device, property, rest.begins(frame.started_utc));
+        around.map(|around| Around { rest, ..around })
+    };
     let mut polls: HashMap<(Kind, &str), Around> = HashMap::new();
-    for (kind, property) in needed(site.table) {
-        let Some(device) = devices.get(&kind) else { continue };
-        let around = reader.around(device, property, frame.started_utc)?;
+    let flags = needed(site.table).filter_map(|(kind, _)| Some((kind, flag_of(kind)?)));
+    for (kind, property) in needed(site.table).chain(flags) {
+        let Some(device) = devices.get(&kind).filter(|_| !polls.contains_key(&(kind, property))) else { continue };
+        let around = look(kind, device, property)?;
         // A property that never had a value is not waited for once its device has published a state.
-        let is_void = around.before.is_none() && site.newest.received_since(device, frame.started_utc);
+        let is_void = around.before.is_empty() && site.newest.received_since(device, frame.started_utc);
         if !around.received_since && !is_void && !impatient {
             return Ok(None);
         }
@@ -131,7 +141,7 @@ pub fn complete_image(
     let (present, unknown) = (stored.keywords(), unknown_before(site.table, &stored));
     for (kind, property) in missing_fixed(site.table, &present).chain(POINTING) {
         if let (Some(device), false) = (devices.get(&kind), polls.contains_key(&(kind, property))) {
-            polls.insert((kind, property), reader.around(device, property, frame.started_utc)?);
+            polls.insert((kind, property), look(kind, device, property)?);
         }
     }
     let around = |kind: Kind, property: &str| {
@@ -139,7 +149,7 @@ pub fn complete_image(
         Some(polls.get(&(kind, property)).cloned().unwrap_or_default())
     };
     let mount = devices.get(&Kind::Telescope).map_or(EquatorialSystem::Other, |mount| site.mount_frame(mount));
-    let (place, holds_s, unknown_before) = (&config.place, site.holds_s(), unknown.as_ref());
+    let (place, unknown_before) = (&config.place, unknown.as_ref());
     let later = Later { frame, place, mount, holds_s, present: &present, unknown_before, around: &around };
     let mut plan = completion(site.table, &later)?;
     plan.history.extend(unknown_of_sensor(&present));
@@ -154,6 +164,24 @@ pub fn complete_image(
     plan.extend(guided);
     site.completer.complete(&path, stored, &plan)?;
     Ok(Some(plan))
+}
+
+/// Between which moves of each device that can move a frame was exposed.
+fn rests(
+    reader: &Reader,
+    devices: &HashMap<Kind, Device>,
+    frame: &Frame,
+    holds_s: f64,
+) -> Result<HashMap<Kind, Rest>, DatabaseError> {
+    let start = frame.started_utc;
+    let (exposure, mut rests) = ((start, start.plus_seconds(frame.exposure_s)), HashMap::new());
+    for (kind, device) in devices {
+        if let Some(flag) = flag_of(*kind) {
+            let said = reader.polls(device, flag, (start.plus_seconds(-holds_s), start.plus_seconds(holds_s)))?;
+            rests.insert(*kind, Rest::of(&said, exposure));
+        }
+    }
+    Ok(rests)
 }
 
 /// The keywords that the facts of a frame add to its header.
@@ -187,13 +215,13 @@ fn put_late(images: &Path, table: &HeaderTable, image: &StoredImage, facts: &Fra
     }
 }
 
-/// Whether there is no file of ours at a path; where the archive's own folder is missing too, its disk is away.
+/// Whether there is no file of ours at a path of a folder that is there.
 fn is_gone(images: &Path, path: &Path) -> bool {
     let is_missing = |error: &CompletionError| match error {
         CompletionError::NoHeader(_) => true,
         CompletionError::File { source, .. } => source.kind() == ErrorKind::NotFound,
     };
-    images.join(PART_FOLDER).is_dir()
+    is_here(images)
         && (without_links(images, path).is_err() || read_header(path).is_err_and(|error| is_missing(&error)))
 }
 
@@ -209,12 +237,9 @@ fn missing_fixed<'a>(table: &'a HeaderTable, present: &BTreeSet<String>) -> impl
 impl Site<'_> {
     /// The frame of a mount's coordinates: as configured, else as the mount reports it.
     fn mount_frame(&self, mount: &Device) -> EquatorialSystem {
-        let configured = self.config.telescope.iter().find(|telescope| telescope.common.name == mount.name);
-        match configured.map(|telescope| telescope.equatorial_system) {
-            Some(EquatorialChoice::J2000) => EquatorialSystem::J2000,
-            Some(EquatorialChoice::Topocentric) => EquatorialSystem::Topocentric,
-            Some(EquatorialChoice::Auto) | None => self.newest.equatorial_system(mount),
-        }
+        let block = self.config.telescope.iter().find(|telescope| telescope.common.name == mount.name);
+        let choice = block.map(|telescope| telescope.equatorial_system).unwrap_or_default();
+        choice.of(Some(self.newest.equatorial_system(mount)))
     }
 
     /// Polls keep machine time, so in a fast simulation they lie further apart on the sky's.
@@ -317,7 +342,7 @@ impl Pass {
             return Ok(Outcome::NotYet);
         }
         let telescope = self.node.config.place.telescope.as_str();
-        if waited < facts::TIMEOUT && guided::is_awaited(reader, telescope, &image.frame)? {
+        if guided::is_awaited(reader, telescope, &image.frame, waited)? {
             return Ok(Outcome::NotYet);
         }
         let completer = Completer::new(&self.node.config.folders.images);

@@ -14,6 +14,7 @@ use super::*;
 use crate::completion::journal_of;
 use crate::database::StoredCorrection;
 use crate::fits::{FitsFile, Shape};
+use crate::folder::PART_FOLDER;
 use crate::header::{HeaderFacts, base, room};
 use crate::stored_header::Header;
 
@@ -39,28 +40,13 @@ impl Stage {
         let table = format!("header,dtype,fixed,device_type,device_command,comment\n{}", rows.concat());
         let table: HeaderTable = table.parse().unwrap();
         let started_utc: Utc = "2026-11-21T03:00:00Z".parse().unwrap();
-        let frame = Frame {
-            id: CommandId("frame-1".to_owned()),
-            camera: "andor".to_owned(),
-            purpose: Purpose {
-                action: "object".to_owned(),
-                image_type: "Light Frame".to_owned(),
-                paired: [("Telescope".to_owned(), "mount".to_owned())].into(),
-                ..Purpose::default()
-            },
-            width_px: 4,
-            height_px: 2,
-            planes: 1,
-            pixel: Pixel::U16,
-            bin: 1,
-            origin_px: [0, 0],
-            started_utc,
-            exposure_s: 5.0,
-            url: String::new(),
-            bytes: 16,
-            sha256: String::new(),
-            readings: Default::default(),
+        let purpose = Purpose {
+            action: "object".to_owned(),
+            image_type: "Light Frame".to_owned(),
+            paired: [("Telescope".to_owned(), "mount".to_owned())].into(),
+            ..Purpose::default()
         };
+        let frame = Frame { purpose, started_utc, ..test_support::frame("frame-1") };
         std::fs::create_dir_all(config.folders.images.join(PART_FOLDER)).unwrap();
         let (place, sensor) = (&config.place, Default::default());
         let known = HeaderFacts { frame: &frame, place, written: started_utc, sensor, newest: &|_, _| None };
@@ -72,19 +58,21 @@ impl Stage {
         fits.write_pixels(&SHAPE, &[7; 16]).unwrap();
         fits.write_checksums().unwrap();
         fits.close().unwrap();
-        let device = Address::new("paranal", "callisto").unwrap().device(Kind::Telescope, &"mount".parse().unwrap());
-        let mut writes = Vec::new();
-        for second in [-1.0, 1.0] {
-            let none = Err("not implemented".to_owned());
-            for (property, value) in [("Altitude", Ok(Scalar::Float(50.0))), ("SideOfPier", none)] {
-                let (device, property) = (device.clone(), property.to_owned());
-                writes.push(Write::Reading { device, property, value, at: started_utc.plus_seconds(second) });
-            }
-        }
         let image = StoredImage { frame, file: "a.fits".to_owned(), bytes: 5760, stored: started_utc };
         let stage = Self { _folder: folder, config, table, image };
-        stage.write(writes).await;
+        let none = || Err("not implemented".to_owned());
+        let polled = [-1.0, 1.0].map(|second| {
+            [stage.polled("Altitude", second, Ok(Scalar::Float(50.0))), stage.polled("SideOfPier", second, none())]
+        });
+        stage.write(polled.into_iter().flatten().collect()).await;
         stage
+    }
+
+    /// A poll of the mount, so many seconds after the begin of the exposure.
+    fn polled(&self, property: &str, second: f64, value: Result<Scalar, String>) -> Write {
+        let device = Address::new("paranal", "callisto").unwrap().device(Kind::Telescope, &"mount".parse().unwrap());
+        let (property, at) = (property.to_owned(), self.image.frame.started_utc.plus_seconds(second));
+        Write::Reading { device, property, value, at }
     }
 
     async fn write(&self, writes: Vec<Write>) {
@@ -148,6 +136,19 @@ async fn a_header_that_is_completed_again_from_forgotten_telemetry_stays_as_it_i
     stage.config.folders.images = moved;
     stage.complete(Some(&solved()));
     assert_eq!(stage.header().value("SOLVED").as_deref(), Some("T"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frame_behind_a_slew_has_the_altitude_since_and_not_one_on_the_way_there() {
+    let stage = Stage::new().await;
+    let slews = [(-1.1, true), (-0.5, true), (-0.1, false), (1.0, false)];
+    let said = slews.map(|(second, slews)| stage.polled("Slewing", second, Ok(Scalar::Bool(slews))));
+    let altitudes = [(-0.6, 42.0), (2.0, 50.01)];
+    let altitudes = altitudes.map(|(second, deg)| stage.polled("Altitude", second, Ok(Scalar::Float(deg))));
+    stage.write(said.into_iter().chain(altitudes).collect()).await;
+    stage.complete(None);
+    let altitude_deg: f64 = stage.header().value("ALTITUDE").unwrap().parse().unwrap();
+    assert!((altitude_deg - 49.99).abs() < 1e-9, "{altitude_deg}: on the line of the two polls behind the slew");
 }
 
 #[tokio::test(flavor = "multi_thread")]

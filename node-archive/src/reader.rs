@@ -7,7 +7,6 @@ mod search;
 mod telemetry;
 
 use std::cell::Cell;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -21,7 +20,7 @@ use units::Utc;
 
 pub use search::FoundFrames;
 
-use crate::database::{DatabaseError, StoredFacts, StoredImage, read_only, stamp};
+use crate::database::{DatabaseError, StoredFacts, StoredImage, holding, read_only, stamp};
 use crate::night::NightFrame;
 
 /// What [`image`] reads, and whether the header is complete.
@@ -139,25 +138,24 @@ impl Reader {
         look().map_err(|source| self.failed(source))
     }
 
-    /// How far the guided frames of a telescope that were in the middle of their exposures in a span of time were from
-    /// their reference, px of their cameras, which are the keys. A reference itself was guided by nothing.
+    /// How far the guided frames by which a telescope was held during an exposure of a camera were from their reference, px.
     pub fn guide_errors(
         &self,
         telescope: &str,
-        from: Utc,
-        to: Utc,
-    ) -> Result<BTreeMap<String, Vec<f64>>, DatabaseError> {
-        let sql = "SELECT camera_name, shift_x, shift_y FROM guiding WHERE datetime >= ?1 AND datetime <= ?2
-                   AND telescope = ?3 AND shift_x IS NOT NULL AND shift_y IS NOT NULL AND frame_id <> reference";
-        let errors = self.list(sql, params![stamp(from), stamp(to), telescope], |row| {
-            let (x_px, y_px): (f64, f64) = (row.get(1)?, row.get(2)?);
-            Ok((row.get::<_, String>(0)?, x_px.hypot(y_px)))
-        })?;
-        let mut errors_px = BTreeMap::<String, Vec<f64>>::new();
-        for (camera, error_px) in errors {
-            errors_px.entry(camera).or_default().push(error_px);
-        }
-        Ok(errors_px)
+        camera: &str,
+        (from, to): (Utc, Utc),
+    ) -> Result<Vec<f64>, DatabaseError> {
+        let sql = holding!("(SELECT '' AS frame_id, ?1 AS telescope, ?2 AS camera_name, ?3 AS begins, ?4 AS ends)");
+        self.list(sql, params![telescope, camera, stamp(from), stamp(to)], |row| {
+            let (x_px, y_px): (f64, f64) = (row.get("shift_x")?, row.get("shift_y")?);
+            Ok(x_px.hypot(y_px))
+        })
+    }
+
+    /// Whether guiding looked at a frame of a telescope that was in the middle of its exposure in a span of time.
+    pub fn is_guided(&self, telescope: &str, (from, to): (Utc, Utc)) -> Result<bool, DatabaseError> {
+        let sql = "SELECT EXISTS (SELECT 1 FROM guiding WHERE datetime >= ? AND datetime <= ? AND telescope = ?)";
+        Ok(self.list(sql, params![stamp(from), stamp(to), telescope], |row| row.get::<_, bool>(0))?.contains(&true))
     }
 
     /// Images with complete headers whose facts are not in them, because they came later.

@@ -57,9 +57,7 @@ mod tests {
     use super::*;
 
     fn frame(readings: &[(&str, ReadingOutcome)]) -> Frame {
-        let text = include_str!("../../common/contract/golden/v1/camera.frame.json");
-        let samples: serde_json::Value = serde_json::from_str(text).unwrap();
-        let mut frame: Frame = serde_json::from_value(samples.get(0).unwrap_or(&samples).clone()).unwrap();
+        let mut frame = test_support::frame("frame");
         let at_utc = frame.started_utc;
         let reading = |outcome: &ReadingOutcome| Reading { outcome: outcome.clone(), at_utc, age_s: None };
         frame.readings = readings.iter().map(|(name, outcome)| ((*name).to_owned(), reading(outcome))).collect();

@@ -5,12 +5,12 @@ use std::time::Duration;
 use anyhow::bail;
 use contract::observatory::AlertKind;
 use interlock::Deadlines;
-use node::{Node, NodeOptions};
+use node::{Node, NodeAlerts, NodeOptions};
 
 use crate::child::END_LIMIT;
 use crate::guard_process::link::{GuardLink, SHARES_CLOCK};
 use crate::guard_process::places::Places;
-use crate::guard_process::{GUARD_LOCK, NODE_LOCK};
+use crate::guard_process::{GUARD_LOCK, NODE_LOCK, RESTART};
 use crate::start::Enclosure;
 
 /// The guard process waits this much longer than its node, so that the node can still report how it ended.
@@ -60,7 +60,7 @@ pub async fn close_first(node: Node, link: Option<GuardLink>, enclosures: Vec<En
     Ok(())
 }
 
-/// Guards on when the guard process has died, raises the alert, and ends when the next guard process runs.
+/// Guards on when the guard process has died, raises the alert unless the next one runs soon, and ends when that does.
 pub async fn outlive_guard_process(
     node: Node,
     link: GuardLink,
@@ -77,15 +77,30 @@ pub async fn outlive_guard_process(
         node.stop.stop();
         return Ok(());
     }
-    for dome in &enclosures {
-        let cause = format!("the guard process of dome {dome} has ended; its device node guards on alone");
-        node.alerts.raise(AlertKind::GuardProcess, dome, &cause);
-    }
     tracing::error!("the guard process has ended; this node guards on alone and leaves to the next one");
-    loop {
-        if node.stop.or(tokio::time::sleep(LOOK)).await.is_none() {
-            return Ok(());
-        }
+    // The disk may hang, and the alert does not wait for it.
+    let raising = async {
+        raise_after(RESTART, &node.alerts, &enclosures).await;
+        std::future::pending::<()>().await;
+    };
+    tokio::select! {
+        () = raising => Ok(()),
+        () = leave_to_the_next(&node, &link, &places) => Ok(()),
+    }
+}
+
+/// Raises the alert that the guard process is gone, after the time that a restart of it takes.
+async fn raise_after(restart: Duration, alerts: &NodeAlerts, enclosures: &[String]) {
+    tokio::time::sleep(restart).await;
+    for dome in enclosures {
+        let cause = format!("the guard process of dome {dome} has ended; its device node guards on alone");
+        alerts.raise(AlertKind::GuardProcess, dome, &cause);
+    }
+}
+
+/// Keeps the countdown until there is a new guard process, and ends this node then.
+async fn leave_to_the_next(node: &Node, link: &GuardLink, places: &Places) {
+    while node.stop.or(tokio::time::sleep(LOOK)).await.is_some() {
         let (places, now, clock) = (places.clone(), node.bus.clock().machine(), node.bus.clock().clone());
         let last = link.last();
         let looking = tokio::task::spawn_blocking(move || {
@@ -97,8 +112,24 @@ pub async fn outlive_guard_process(
         // A disk that hangs is asked again when it answers.
         if looking.await.unwrap_or(false) {
             tracing::warn!("a new guard process has started; this node leaves to it, and nothing is closed for that");
-            node.stop.stop();
-            return Ok(());
+            return node.stop.stop();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bus::Clock;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_guard_process_that_is_restarted_is_no_alert_and_one_that_stays_away_is() {
+        let (alerts, domes) = (NodeAlerts::new(Clock::machine_clock()), ["roof".to_owned()]);
+        let ids = || alerts.watch().borrow().alerts.iter().map(|alert| alert.id.clone()).collect::<Vec<_>>();
+        let next_one_came = tokio::time::timeout(Duration::ZERO, raise_after(RESTART, &alerts, &domes)).await;
+        assert!(next_one_came.is_err() && ids().is_empty());
+        raise_after(Duration::ZERO, &alerts, &domes).await;
+        assert_eq!(ids(), ["guard-process/roof"]);
     }
 }

@@ -26,6 +26,8 @@
 //!   `only_what_is_listed_is_allowed` (`common/config/src/vendor.rs`).
 //! - A frame leaves the spool only after the archive has sent its hash:
 //!   `a_frame_survives_a_restart_and_goes_only_when_it_is_released_and_old`.
+//! - Of what a node recorded before its restart, only the states without a gap up to its end are evidence (`state_file.rs`,
+//!   decision 0177): `nothing_counts_from_before_a_line_that_is_damaged_missing_or_of_something_else`.
 //! - The hardware watchdog is fed only while the permit is valid:
 //!   `it_is_fed_four_times_in_its_limit_and_only_while_the_permit_is_valid` (`common/interlock/src/watchdog.rs`).
 
@@ -61,6 +63,7 @@ mod simulated;
 pub mod spool;
 pub mod spool_http;
 mod start;
+mod state_file;
 mod token;
 mod watchdog;
 

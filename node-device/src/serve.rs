@@ -138,7 +138,7 @@ impl<D: Driver> Serve<D> {
         let (bus, stop) = (self.node.bus.clone(), self.node.stop.clone());
         let per_min = 60.0 / self.common.period_s + CHANGES_PER_MIN;
         let cache = (self.node.config.spool.hold_min * per_min).ceil() as usize;
-        let states = StatePublisher::open(&self.node, &self.device, cache).await?;
+        let states = StatePublisher::open(&self.node, &self.device, &self.common, cache).await?;
         let key = Key::Capabilities(self.device.clone());
         let descriptions = bus.publisher(&key).await?;
         let command_server = self.command_server.clone();

@@ -55,8 +55,17 @@ pub fn start(tasks: &mut Tasks, node: &Node, hold: watch::Receiver<Hold>, orders
 
 /// Reads the file; of one that cannot be read a copy is kept.
 pub fn read(path: &Path) -> OnDisk {
+    read_with(path, |why| node::aside::keep_copy(path, why, "The dome stays closed until a person decides anew."))
+}
+
+/// Reads the file, and leaves all as it is.
+pub fn look(path: &Path) -> OnDisk {
+    read_with(path, |_| {})
+}
+
+fn read_with(path: &Path, damaged: impl FnOnce(&str)) -> OnDisk {
     let unreadable = |why: String| {
-        node::aside::keep_copy(path, &why, "The dome stays closed until a person decides anew.");
+        damaged(&why);
         OnDisk::Unreadable(format!("{} cannot be read: {why}", path.display()))
     };
     match std::fs::read(path) {

@@ -129,6 +129,11 @@ pub struct Journal {
     records: Mutex<Records>,
 }
 
+/// The file of a telescope's journal.
+pub fn path(config: &config::Observatory) -> PathBuf {
+    config.folders.data.join(format!("journal-{}.jsonl", config.place.telescope))
+}
+
 /// Lines older than this, against the newest, are dropped when a node takes over, sky s.
 const STORED_S: f64 = 3.0 * 86_400.0;
 
@@ -314,6 +319,11 @@ impl Journal {
     /// The robotic switch as it was last turned, and when.
     pub fn last_robotic(&self) -> Option<(Utc, bool)> {
         self.records().robotic
+    }
+
+    /// The same by a file, which may be another process's.
+    pub fn last_robotic_in(path: &Path) -> io::Result<Option<(Utc, bool)>> {
+        Ok(Records::of(&read(path)?.0).robotic)
     }
 
     fn records(&self) -> std::sync::MutexGuard<'_, Records> {

@@ -22,6 +22,7 @@
 //! | [`action`], [`runner`] | the actions of rows, and which row runs |
 //! | [`closing`], `failover`, `orders`, `alerting`, [`permit`] | tasks alongside the rows |
 //! | `start` | prepares all of it for [`run`] |
+//! | [`beginning`] | what the telescope does by itself then, for people |
 //!
 //! # Invariants
 //!
@@ -77,6 +78,7 @@ mod active_orders;
 mod alerting;
 mod annunciator;
 mod authority;
+pub mod beginning;
 pub mod closing;
 mod command_timeout;
 pub mod devices;

@@ -1,6 +1,5 @@
 //! Prepares all that the tasks need before they run: the journal, the devices, and the state of each feature.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -25,7 +24,7 @@ use crate::frames::FrameData;
 use crate::guiding::GuidingData;
 use crate::hold::Hold;
 use crate::hooks::{Hooks, ScriptedSite};
-use crate::journal::Journal;
+use crate::journal::{self, Journal};
 use crate::night::PublishedNight;
 use crate::opening::Opener;
 use crate::pointing::PointingData;
@@ -139,8 +138,7 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
 }
 
 async fn open_journal(node: &Node) -> anyhow::Result<Journal> {
-    let name = format!("journal-{}.jsonl", node.config.place.telescope);
-    let path: PathBuf = node.config.folders.data.join(name);
+    let path = journal::path(&node.config);
     loop {
         let (here, printed) = (path.clone(), path.display());
         let why = match tokio::task::spawn_blocking(move || Journal::open(&here)).await? {

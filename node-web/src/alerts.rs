@@ -1,10 +1,10 @@
-//! The active alerts of one telescope, from every node that raised one.
+//! The alerts of one telescope, from every node that raised one.
 
 use std::collections::BTreeMap;
 
 use bus::MachineTime;
 use contract::node::Stopped;
-use contract::observatory::{Alert, AlertKind, Alerts, Priority};
+use contract::observatory::{Alert, AlertKind, Alerts, Priority, Standing};
 use contract::{Key, Name, NodeTopic, Part};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
@@ -12,7 +12,7 @@ use serde::{Deserialize as _, Serialize};
 use crate::freshness::Quality;
 use crate::model::{Entry, Telescope};
 
-/// Alerts by priority.
+/// Alerts whose cause is there, by priority.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, JsonSchema, Serialize)]
 #[allow(missing_docs, reason = "the words of the priorities")]
 pub struct Counts {
@@ -25,7 +25,8 @@ pub struct Counts {
 impl Counts {
     /// Counts them.
     pub fn of(alerts: &[Alert]) -> Self {
-        let of = |priority| alerts.iter().filter(|alert| alert.priority == priority).count();
+        let stands = |alert: &&Alert| alert.standing() != Standing::Gone;
+        let of = |priority| alerts.iter().filter(stands).filter(|alert| alert.priority == priority).count();
         Self {
             critical: of(Priority::Critical),
             high: of(Priority::High),
@@ -61,7 +62,10 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
             {
                 let cause = format!("the {role} node {id} has fallen silent");
                 let alert = AlertKind::NodeSilent.alert(format_args!("{role}/{id}"), entry.at_utc, &cause);
-                found.insert(alert.id.clone(), alert);
+                // The observatory node notices it too, and knows who sees to it.
+                if found.get(&alert.id).is_none_or(|known| known.standing() == Standing::Gone) {
+                    found.insert(alert.id.clone(), alert);
+                }
             }
             _ => {}
         }
@@ -72,10 +76,9 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
     sorted(found.into_values())
 }
 
-/// The most urgent first.
 fn sorted(alerts: impl Iterator<Item = Alert>) -> Vec<Alert> {
     let mut alerts: Vec<Alert> = alerts.collect();
-    alerts.sort_by(|a, b| (a.priority, a.raised_utc, &a.id).cmp(&(b.priority, b.raised_utc, &b.id)));
+    Alert::sort_for_people(&mut alerts);
     alerts
 }
 
@@ -84,7 +87,7 @@ pub fn stopped(entry: &Entry) -> Option<Stopped> {
     Stopped::deserialize(entry.body.get("stopped")?).ok()
 }
 
-/// Of the alerts that the nodes of a site's shared devices publish, those about these devices; the most urgent first.
+/// Of the alerts that the nodes of a site's shared devices publish, those about these devices.
 pub fn about<'a>(shared: &Telescope, devices: impl Iterator<Item = &'a Name> + Clone) -> Vec<Alert> {
     let is_about = |alert: &Alert| devices.clone().any(|name| alert.id.split('/').any(|part| part == name.as_str()));
     let of = |entry: &Entry| match &entry.key {
@@ -107,13 +110,17 @@ mod tests {
     use crate::network::Network;
 
     fn ids(samples: &[(&str, Value)], now_s: u64) -> Vec<String> {
+        shown(samples, now_s).into_iter().map(|alert| alert.id).collect()
+    }
+
+    fn shown(samples: &[(&str, Value)], now_s: u64) -> Vec<Alert> {
         let address = Address::new("paranal", "callisto").unwrap();
         let network = Network::new(Clock::machine_clock(), address.clone());
         for (key, body) in samples {
             network.accept(received(&format!("paranal/callisto/{key}"), "b", 0, 100, body.clone()));
         }
         let now = MachineTime::from_boot(Duration::from_secs(now_s));
-        active(&network.read().telescopes[&address], Vec::new(), now).into_iter().map(|alert| alert.id).collect()
+        active(&network.read().telescopes[&address], Vec::new(), now)
     }
 
     fn alert(id: &str, priority: &str) -> Value {
@@ -135,6 +142,29 @@ mod tests {
         low["cause"] = json!("another");
         let samples = [("observatory/alerts/state", json!({ "alerts": [low, alert("high", "critical")] }))];
         assert_eq!(ids(&samples, 100_000), ["high", "low"]);
+    }
+
+    #[test]
+    fn what_is_over_stands_last_and_is_not_counted() {
+        let mut over = alert("over", "critical");
+        (over["returned_utc"], over["cause"]) = (json!("2026-11-21T03:20:00Z"), json!("another"));
+        let list = json!({ "alerts": [over, alert("now", "medium")] });
+        let alerts = shown(&[("observatory/alerts/state", list)], 100);
+        assert_eq!(alerts.iter().map(|alert| alert.id.as_str()).collect::<Vec<_>>(), ["now", "over"]);
+        assert_eq!(Counts::of(&alerts), Counts { medium: 1, ..Counts::default() });
+    }
+
+    #[test]
+    fn a_silent_node_that_somebody_sees_to_calls_nobody_else() {
+        let of = |key: &str, value: &str| {
+            let mut silent = alert("node-silent/archive/main", "high");
+            silent[key] = json!(value);
+            let list = json!({ "alerts": [silent] });
+            let samples = [("node/archive/main/state", json!({})), ("observatory/alerts/state", list)];
+            shown(&samples, 130).into_iter().map(|alert| alert.standing()).collect::<Vec<_>>()
+        };
+        assert_eq!(of("acknowledged_by", "web/ana"), [Standing::SeenTo]);
+        assert_eq!(of("returned_utc", "2026-11-21T03:20:00Z"), [Standing::Active]);
     }
 
     #[test]

@@ -50,6 +50,9 @@ pub struct CommandState {
     pub reason: String,
     /// The person who ordered it.
     pub requested_by: String,
+    /// What stood against it when it was given, so that it changes nothing before that is lifted; empty for orders that
+    /// close.
+    pub against: Vec<String>,
     /// Where it is.
     pub state: Progress,
     /// What the observatory node says of it, or what was seen.
@@ -82,6 +85,7 @@ impl CommandState {
         word: &str,
         parameters: Map<String, Value>,
         person: &str,
+        against: Vec<String>,
         at_utc: Utc,
     ) -> Self {
         Self {
@@ -91,6 +95,7 @@ impl CommandState {
             parameters,
             reason: order.reason.clone(),
             requested_by: person.to_owned(),
+            against,
             state: Progress::Sent,
             detail: None,
             refused_because: None,

@@ -12,9 +12,8 @@ use serde::Deserialize as _;
 use crate::freshness::Quality;
 use crate::model::{Entry, Telescope};
 
-/// The domes of a telescope, and those of its site (`shared`) whose guards name it. What is not fresh counts for nothing.
-pub fn over(address: &Address, own: &Telescope, shared: Option<&Telescope>, now: MachineTime) -> Vec<DomeView> {
-    let telescopes = std::iter::once(own).chain(shared);
+/// The domes over a telescope among those of itself and of what its site shares. What is not fresh counts for nothing.
+pub fn over<'a>(address: &Address, telescopes: impl Iterator<Item = &'a Telescope>, now: MachineTime) -> Vec<DomeView> {
     telescopes.flat_map(|telescope| views(telescope, now)).filter(|view| view.is_over(address)).collect()
 }
 

@@ -58,6 +58,7 @@ mod receive;
 mod ring;
 mod router;
 mod routes;
+mod safety;
 mod schedules;
 mod server;
 mod shrink;
@@ -108,8 +109,7 @@ pub async fn run(node: node::Node) -> anyhow::Result<()> {
     let address = listener.local_addr()?;
     let authentication = Authentication::new(web)?;
 
-    let network = network::Network::new(node.bus.clock().clone(), node.config.address());
-    let network = Arc::new(network.with_site(node.config.place.clone()));
+    let network = Arc::new(network::Network::new(node.bus.clock().clone(), &node.config.place));
     let previews = Arc::new(preview::Previews::new(network.clone())?);
     let host = Arc::new(host::Host::default());
     let mut tasks = JoinSet::new();

@@ -16,11 +16,13 @@ use interlock::Succession;
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize, Serializer};
 use serde_json::Value;
+use sky::{EarthOrientation, Place};
 use units::Utc;
 
 use crate::diary::{Diary, Line};
 use crate::edge::weight;
 use crate::freshness::{Quality, period};
+use crate::place;
 use crate::ring::Ring;
 
 /// A broken or hostile publisher must not fill the memory.
@@ -53,13 +55,24 @@ pub struct Model {
     pub telescopes: BTreeMap<Address, Telescope>,
     /// Counts what was accepted.
     pub revision: u64,
-    /// The telescope of this node's own file: there is always room for it.
-    expected: Option<Address>,
-    /// Where this node's own file says that its site is.
-    pub own_site: Option<config::Place>,
+    own: Option<OwnTelescope>,
     weight: usize,
     /// When all room was found to be in use.
     full: Option<MachineTime>,
+}
+
+/// The telescope of this node's own file: there is always room for it, though it may never publish anything.
+pub struct OwnTelescope {
+    address: Address,
+    /// Where the file says that its site is.
+    place: Option<(Place, EarthOrientation)>,
+}
+
+impl From<&config::Place> for OwnTelescope {
+    fn from(of: &config::Place) -> Self {
+        let address = Address { site: of.site.clone(), telescope: of.telescope.clone() };
+        Self { address, place: of.on_earth().ok() }
+    }
 }
 
 /// A frame as its device node announced it.
@@ -90,6 +103,8 @@ pub struct Telescope {
     pub forgotten_frame: u64,
     /// The newest frame that could be turned into an image, or why it could not.
     pub image: Option<Image>,
+    /// Where it stands by its mounts: found when one of them is new, differs or goes, since many look each second.
+    place: Option<Place>,
     unreadable: BTreeMap<String, (String, MachineTime)>,
     weight: usize,
     full: Option<MachineTime>,
@@ -144,6 +159,7 @@ impl Default for Telescope {
             frames: Ring::of(MOST_FRAMES),
             forgotten_frame: 0,
             image: None,
+            place: None,
             unreadable: BTreeMap::new(),
             weight: 0,
             full: None,
@@ -189,10 +205,27 @@ impl Telescope {
 }
 
 impl Model {
-    /// An empty model, with a telescope that is expected though it may never publish anything.
-    pub fn new(expected: Address) -> Self {
-        let telescopes = BTreeMap::from([(expected.clone(), Telescope::default())]);
-        Self { telescopes, expected: Some(expected), ..Self::default() }
+    /// An empty model, but for the telescope of this node's own file.
+    pub fn new(own: impl Into<OwnTelescope>) -> Self {
+        let own = own.into();
+        let telescopes = BTreeMap::from([(own.address.clone(), Telescope::default())]);
+        Self { telescopes, own: Some(own), ..Self::default() }
+    }
+
+    /// Where a telescope stands: as this server's file says of its own site, else as its mount does, else as another mount
+    /// of its site does. `None` until one is known.
+    pub fn place(&self, address: &Address) -> Option<(Place, EarthOrientation)> {
+        let in_file = self.own.as_ref().filter(|own| own.address.site == address.site).and_then(|own| own.place);
+        if in_file.is_some() {
+            return in_file;
+        }
+        let beside = self.telescopes.iter().filter(|(other, _)| other.site == address.site).map(|(_, beside)| beside);
+        let place = self.telescopes.get(address).into_iter().chain(beside).find_map(|telescope| telescope.place)?;
+        Some((place, EarthOrientation::default()))
+    }
+
+    fn is_expected(&self, address: &Address) -> bool {
+        self.own.as_ref().is_some_and(|own| own.address == *address)
     }
 
     /// Takes a payload in; true when it is new.
@@ -204,7 +237,7 @@ impl Model {
         {
             return false;
         }
-        let is_expected = self.expected.as_ref() == Some(&address);
+        let is_expected = self.is_expected(&address);
         let room = if is_expected { usize::MAX } else { MOST_WEIGHT_OF_ALL.saturating_sub(self.weight) };
         let telescope = self.telescopes.entry(address).or_default();
         let before = telescope.weight;
@@ -253,8 +286,8 @@ impl Model {
 
     /// Drops what ended in good order a day ago, and what fell silent two weeks ago; the expected telescope stays.
     pub fn forget(&mut self, now: MachineTime) {
-        let expected = self.expected.as_ref();
-        self.telescopes.retain(|address, telescope| !telescope.forget(now) || expected == Some(address));
+        let own = self.own.as_ref().map(|own| &own.address);
+        self.telescopes.retain(|address, telescope| !telescope.forget(now) || own == Some(address));
         self.weight = self.telescopes.values().map(|telescope| telescope.weight).sum();
     }
 
@@ -264,7 +297,7 @@ impl Model {
             return false;
         }
         let newest = |telescope: &Telescope| telescope.states.values().map(|entry| entry.arrived).max();
-        let others = self.telescopes.iter().filter(|(address, _)| self.expected.as_ref() != Some(*address));
+        let others = self.telescopes.iter().filter(|(address, _)| !self.is_expected(address));
         let silent = others.filter(|(_, t)| newest(t).is_none_or(|at| now.since(at) > GIVES_WAY_AFTER));
         let Some(address) = silent.min_by_key(|(_, t)| newest(t)).map(|(address, _)| address.clone()) else {
             self.full = Some(now);
@@ -318,8 +351,17 @@ impl Telescope {
         };
         if let Some(gone) = self.states.remove(&name) {
             self.weight = self.weight.saturating_sub(gone.weight);
+            if place::is_of_mount(&gone.key) {
+                self.find_place();
+            }
         }
         true
+    }
+
+    /// Asks its mounts where they stand; the first one that knows counts.
+    fn find_place(&mut self) {
+        let mounts = self.states.values().filter(|entry| place::is_of_mount(&entry.key));
+        self.place = mounts.map(|mount| mount.body.as_ref()).find_map(place::by_mount);
     }
 
     fn remember_frame(&mut self, key: &Key, revision: u64) {
@@ -379,6 +421,10 @@ impl Telescope {
                 entry.succession.is_newer(&boot_id, seq, arrived);
                 self.states.insert(name.clone(), entry);
             }
+        }
+        let has_changed = |entry: &Entry| entry.changed == revision && place::is_of_mount(&entry.key);
+        if self.states.get(&name).is_some_and(has_changed) {
+            self.find_place();
         }
         self.weight = (self.weight + weight).saturating_sub(had);
         self.unreadable.remove(&name);

@@ -4,6 +4,13 @@ use serde_json::json;
 use super::*;
 use crate::network::Network;
 
+/// A file of which nothing but the telescope's name is known.
+impl From<Address> for OwnTelescope {
+    fn from(address: Address) -> Self {
+        Self { address, place: None }
+    }
+}
+
 pub fn received(key: &str, boot: &str, seq: u64, at_s: u64, body: Value) -> Received<Value> {
     Received {
         key: Key::from_path(key).unwrap(),
@@ -154,6 +161,31 @@ fn the_expected_telescope_stays_with_its_alerts() {
     assert!(model.accept(received(NIGHT, "b", 0, 0, json!({}))));
     model.forget(MachineTime::from_boot(Duration::from_secs(30 * 24 * HOUR_S)));
     assert_eq!(model.telescopes.values().map(|telescope| telescope.states.len()).sum::<usize>(), 1);
+}
+
+#[test]
+fn a_place_is_that_of_the_mount_as_it_is_now() {
+    let callisto = Address::new("paranal", "callisto").unwrap();
+    let mut model = Model::new(callisto.clone());
+    let place = |model: &Model| model.place(&callisto).map(|(place, _)| place.latitude().degrees().round());
+    let mount = |seq, at_s, latitude_deg: Value| {
+        let body = json!({ "can": { "site_latitude_deg": latitude_deg, "site_longitude_deg": -70.5 } });
+        received("paranal/callisto/device/telescope/mount/capabilities", "b", seq, at_s, body)
+    };
+    for (seq, latitude_deg, found) in [
+        (0, json!(-24.0), Some(-24.0)),
+        (1, json!(-24.0), Some(-24.0)),
+        (2, json!(-25.0), Some(-25.0)),
+        (3, Value::Null, None),
+        (4, json!(-26.0), Some(-26.0)),
+    ] {
+        assert!(model.accept(mount(seq, seq, latitude_deg)));
+        assert_eq!(place(&model), found, "{seq}");
+    }
+    assert!(model.accept(received(NIGHT, "b", 0, 5, json!({}))));
+    let telescope = model.telescopes.get_mut(&callisto).unwrap();
+    assert!(telescope.give_way(MachineTime::from_boot(Duration::from_secs(1000))));
+    assert_eq!(place(&model), None, "its mount gave way");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use serde_json::Value;
 use users::Principal;
 
 use crate::diary::Line;
-use crate::model::{Image, Model, Telescope};
+use crate::model::{Image, Model, OwnTelescope, Telescope};
 use crate::summary::Summary;
 
 /// Several clients and scripts share one summary for so long.
@@ -24,15 +24,9 @@ pub struct Network {
 }
 
 impl Network {
-    /// An empty network, with a telescope that is expected though it may never publish anything.
-    pub fn new(clock: Clock, expected: Address) -> Self {
-        Self { clock, model: RwLock::new(Model::new(expected)), summaries: Mutex::default() }
-    }
-
-    /// The same with a place for its own site.
-    pub fn with_site(self, own_site: config::Place) -> Self {
-        self.write().own_site = Some(own_site);
-        self
+    /// An empty network, but for the telescope of this node's own file.
+    pub fn new(clock: Clock, own: impl Into<OwnTelescope>) -> Self {
+        Self { clock, model: RwLock::new(Model::new(own)), summaries: Mutex::default() }
     }
 
     /// The clock that ages are judged by.

@@ -1,12 +1,11 @@
 //! Where a telescope stands.
 
-use contract::{Address, Key, Kind};
+use contract::{Key, Kind};
 use schemars::JsonSchema;
 use serde::Serialize;
-use sky::{EarthOrientation, Place};
+use serde_json::Value;
+use sky::Place;
 use units::Angle;
-
-use crate::model::{Model, Telescope};
 
 /// A place on Earth.
 #[derive(Debug, Clone, Copy, PartialEq, JsonSchema, Serialize)]
@@ -29,33 +28,23 @@ impl From<&Place> for PlaceOnEarth {
     }
 }
 
-/// Where a telescope stands: as this server's file says of its own site, else as its mount does, else as another mount of
-/// its site does. `None` until one is known.
-pub fn of(model: &Model, address: &Address) -> Option<(Place, EarthOrientation)> {
-    if let Some(own) = model.own_site.as_ref().filter(|own| own.site == address.site) {
-        return own.on_earth().ok();
-    }
-    let beside =
-        model.telescopes.iter().filter(|(other, _)| other.site == address.site).map(|(_, telescope)| telescope);
-    let place = model.telescopes.get(address).into_iter().chain(beside).find_map(by_mount)?;
-    Some((place, EarthOrientation::default()))
+/// Is this what a mount says of itself?
+pub fn is_of_mount(key: &Key) -> bool {
+    matches!(key, Key::Capabilities(device) if device.kind == Kind::Telescope)
 }
 
-fn by_mount(telescope: &Telescope) -> Option<Place> {
-    let is_mount = |key: &Key| matches!(key, Key::Capabilities(device) if device.kind == Kind::Telescope);
-    telescope.states.values().filter(|entry| is_mount(&entry.key)).find_map(|entry| {
-        let number = |name: &str| entry.body["can"][name].as_f64();
-        let [latitude, longitude] =
-            [number("site_latitude_deg")?, number("site_longitude_deg")?].map(Angle::from_degrees);
-        Place::new(latitude, longitude, number("site_elevation_m").unwrap_or(0.0)).ok()
-    })
+/// Where a mount says that it stands.
+pub fn by_mount(capabilities: &Value) -> Option<Place> {
+    let number = |name: &str| capabilities["can"][name].as_f64();
+    let [latitude, longitude] = [number("site_latitude_deg")?, number("site_longitude_deg")?].map(Angle::from_degrees);
+    Place::new(latitude, longitude, number("site_elevation_m").unwrap_or(0.0)).ok()
 }
 
 #[cfg(test)]
 mod tests {
+    use contract::Address;
     use serde_json::json;
 
-    use super::*;
     use crate::model::tests::received;
     use crate::network::Network;
 
@@ -68,7 +57,7 @@ mod tests {
             received(&format!("ridge/{telescope}/device/telescope/mount/capabilities"), "b", 0, 0, body)
         };
         let latitude_deg = |network: &Network, telescope: &str| {
-            of(&network.read(), &address(telescope)).map(|(place, _)| place.latitude().degrees().round())
+            network.read().place(&address(telescope)).map(|(place, _)| place.latitude().degrees().round())
         };
         let other = network();
         assert_eq!(latitude_deg(&other, "delta"), None);
@@ -76,10 +65,11 @@ mod tests {
         assert_eq!((latitude_deg(&other, "delta"), latitude_deg(&other, "shared")), (Some(-24.0), Some(-24.0)));
         assert!(other.accept(mount("delta", -25.0)));
         assert_eq!((latitude_deg(&other, "delta"), latitude_deg(&other, "gamma")), (Some(-25.0), Some(-24.0)));
-        assert_eq!(of(&other.read(), &Address::new("elsewhere", "delta").unwrap()), None);
+        assert_eq!(other.read().place(&Address::new("elsewhere", "delta").unwrap()), None);
 
         let file = json!({ "site": "ridge", "telescope": "delta", "latitude_deg": 28.0, "longitude_deg": -16.5, "elevation_m": 2400.0 });
-        let own = network().with_site(serde_json::from_value(file).unwrap());
+        let file: config::Place = serde_json::from_value(file).unwrap();
+        let own = Network::new(bus::Clock::machine_clock(), &file);
         assert!(own.accept(mount("delta", -25.0)));
         assert_eq!(latitude_deg(&own, "delta"), Some(28.0), "what a person wrote counts");
     }

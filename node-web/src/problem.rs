@@ -163,10 +163,26 @@ impl Problem {
     }
 }
 
+impl ProblemDocument {
+    /// What a record keeps of it. Of a request that is not as expected it has only the place: what stands there may be a
+    /// password.
+    pub fn for_record(&self) -> String {
+        if ![Code::Malformed, Code::Validation].iter().any(|code| code.word() == self.code) {
+            return self.detail.clone();
+        }
+        match self.more.get("errors").and_then(|errors| errors[0]["pointer"].as_str()) {
+            Some(pointer) => format!("{}: {pointer}", self.title),
+            None => self.title.to_owned(),
+        }
+    }
+}
+
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
         let status = StatusCode::from_u16(self.document.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-        let mut response = (status, Json(self.document)).into_response();
+        let mut response = (status, Json(&self.document)).into_response();
+        // For records of what was refused.
+        response.extensions_mut().insert(*self.document);
         let kind = HeaderValue::from_static("application/problem+json");
         response.headers_mut().insert(header::CONTENT_TYPE, kind);
         response.headers_mut().extend(self.headers);

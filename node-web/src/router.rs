@@ -16,6 +16,7 @@ use crate::plain_errors::plain_errors_are_problems;
 use crate::problem::{Code, Problem};
 use crate::routes::{lite, page};
 use crate::server::Server;
+use crate::user_audit::note_refused_changes;
 
 /// The longest body of a request: a schedule.
 const LONGEST_BODY: usize = 2 << 20;
@@ -33,8 +34,9 @@ pub fn router(server: Arc<Server>, gate: Gate, authentication: Authentication) -
         .merge(api::router())
         .fallback(nothing_here)
         .method_not_allowed_fallback(other_method)
-        .with_state(server)
+        .with_state(server.clone())
         .layer(DefaultBodyLimit::max(LONGEST_BODY))
+        .layer(from_fn_with_state(server, note_refused_changes))
         .layer(from_fn_with_state(authentication, authenticate))
         .layer(from_fn(plain_errors_are_problems))
         .layer(from_fn_with_state(Arc::new(gate), guard))

@@ -10,7 +10,7 @@ use contract::device::camera::Frame;
 use contract::node::{NodeState, Stopped};
 use contract::observatory::{
     ActionNow, Alert, GuidingState, NightState, OperatorOrders, Posture, Priority, RowStatus, SafetyState,
-    ScheduleState, Unsafe, Verdict,
+    ScheduleState,
 };
 use contract::{Address, Chunk, Key, NodeTopic, Part, Role};
 use overview::{DomeView, Seen};
@@ -22,7 +22,8 @@ use crate::alerts::{Counts, about, active, stopped};
 use crate::domes;
 use crate::freshness::Quality;
 use crate::model::{Entry, Model, Telescope, Unreadable};
-use crate::place::{self, PlaceOnEarth};
+use crate::place::PlaceOnEarth;
+use crate::safety::{self, Safety};
 
 /// A tile of the overview, and the head of the telescope page.
 #[derive(Debug, Clone, JsonSchema, Serialize)]
@@ -88,9 +89,10 @@ pub struct Face {
     /// How far the schedule is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub schedule: Option<ScheduleSummary>,
-    /// Active alerts, the most urgent first.
+    /// Alerts: those that need somebody first, then those that somebody sees to or has shelved, and last those whose cause is
+    /// gone; of each the most urgent first.
     pub alerts: Vec<Alert>,
-    /// Alerts by priority.
+    /// Alerts whose cause is there, by priority.
     pub alert_counts: Counts,
     /// How much safety and posture together concern an operator; absent when all is well.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -148,25 +150,6 @@ impl StoppedTelescope {
     }
 }
 
-/// The verdict as the page shows it.
-#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize)]
-pub struct Safety {
-    /// The word.
-    pub state: SafetyWord,
-    /// Sky time since when the verdict holds.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub since_utc: Option<Utc>,
-    /// Why it is not safe.
-    pub reasons: Vec<Unsafe>,
-    /// Why the sky is not exposed although nothing has to close.
-    pub suspended: Vec<Unsafe>,
-    /// The values that are close to a limit.
-    pub advisories: Vec<Unsafe>,
-    /// Sky seconds until it can be safe.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub time_to_safe_s: Option<f64>,
-}
-
 /// The source of the posture of a telescope.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -177,29 +160,6 @@ pub enum Reporter {
     Domes,
     /// Nobody.
     Nobody,
-}
-
-/// The three words of safety.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SafetyWord {
-    /// The observatory node's verdict is safe, and fresh.
-    Safe,
-    /// Its verdict is unsafe.
-    Unsafe,
-    /// There is no fresh verdict.
-    Unknown,
-}
-
-impl SafetyWord {
-    /// Its word, the same as in JSON.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Safe => "safe",
-            Self::Unsafe => "unsafe",
-            Self::Unknown => "unknown",
-        }
-    }
 }
 
 /// How a telescope is run.
@@ -282,8 +242,6 @@ pub struct NodeSummary {
 
 /// The measures of a frame say something of now for so long.
 const FACTS_OF_NOW: Duration = Duration::from_secs(1800);
-/// An opening that the sky does not allow is given so long to end before it is critical, machine seconds.
-const GRACE_S: f64 = 30.0;
 
 impl Face {
     /// Of the alerts of what a site shares, those that stand at none of its telescopes here: what is told of a telescope is
@@ -313,7 +271,9 @@ impl Summary {
 
         let fresh_night = night.as_ref().filter(|(entry, _)| entry.quality(now) == Quality::Fresh).map(|(_, n)| n);
         let site = model.telescopes.get(&address.shared()).filter(|_| !shared);
-        let domes = if shared { Vec::new() } else { domes::over(address, telescope, site, now) };
+        // An observatory node that publishes speaks for its domes; those of the site are asked for the alerts about them.
+        let silent = Some(telescope).filter(|_| !shared && fresh_night.is_none());
+        let domes = domes::over(address, silent.into_iter().chain(site), now);
         let of_domes = Posture::least_closed(domes.iter().map(DomeView::posture));
         let (posture, posture_by) = match (fresh_night, of_domes) {
             (Some(night), _) => (night.posture, Reporter::Observatory),
@@ -323,7 +283,7 @@ impl Summary {
         let is_silent = quality != Quality::Fresh && !shared;
         let renewed = domes.iter().filter_map(|dome| dome.renewed(address)).max();
         let silent_since = newest.map(|entry| entry.at_utc).or(renewed).filter(|_| is_silent);
-        let words = safety_words(safety.as_ref(), silent_since, now);
+        let words = safety::words(safety.as_ref(), silent_since, now);
         let held_s = safety.as_ref().map_or(f64::INFINITY, |(entry, state)| {
             entry.at_utc.seconds_since(state.since_utc) / speed + entry.age(now).as_secs_f64()
         });
@@ -348,7 +308,7 @@ impl Summary {
             silent_since,
         };
         let image = telescope.image.as_ref();
-        let place = place::of(model, address).map(|(place, _)| place);
+        let place = model.place(address).map(|(place, _)| place);
         let face = Face {
             id: address.to_string(),
             site_id: address.site.clone(),
@@ -360,7 +320,7 @@ impl Summary {
             concern: match quality {
                 _ if shared || is_stopped_closed => None,
                 Quality::Never if posture_by == Reporter::Nobody => None,
-                _ => concern(words.state, posture, held_s),
+                _ => safety::concern(words.state, posture, held_s),
             },
             safety: words,
             posture,
@@ -463,57 +423,6 @@ fn figures(address: &Address, telescope: &Telescope, now: MachineTime) -> Figure
         guiding.rms_px.filter(|_| is_of_now)
     });
     Figures { guide_rms_arcsec: arcsec(rms_px), fwhm_arcsec: arcsec(facts.fwhm_px) }
-}
-
-fn safety_words(state: Option<&(&Entry, SafetyState)>, silent_since: Option<Utc>, now: MachineTime) -> Safety {
-    let fresh = state.filter(|(entry, _)| entry.quality(now) == Quality::Fresh);
-    if let Some((_, state)) = fresh {
-        return Safety {
-            state: match state.verdict {
-                Verdict::Safe => SafetyWord::Safe,
-                Verdict::Unsafe => SafetyWord::Unsafe,
-            },
-            since_utc: Some(state.since_utc),
-            reasons: state.reasons.clone(),
-            suspended: state.suspended.clone(),
-            advisories: state.advisories.clone(),
-            time_to_safe_s: state.time_to_safe_s,
-        };
-    }
-    let last = state.map(|(_, state)| match state.verdict {
-        Verdict::Safe => "; its last verdict was safe",
-        Verdict::Unsafe => "; its last verdict was unsafe",
-    });
-    let without = match silent_since {
-        Some(_) => overview::silent(silent_since),
-        None => "it publishes no verdict any more, so safety is unknown".to_owned(),
-    };
-    let why = format!("{without}{}", last.unwrap_or_default());
-    let silent = Unsafe { input: "observatory node".to_owned(), why, clears_in_s: None };
-    Safety {
-        state: SafetyWord::Unknown,
-        since_utc: None,
-        reasons: if state.is_some() || silent_since.is_some() { vec![silent] } else { Vec::new() },
-        suspended: Vec::new(),
-        advisories: Vec::new(),
-        time_to_safe_s: None,
-    }
-}
-
-/// How urgently the two words together concern an operator.
-fn concern(safety: SafetyWord, posture: Posture, held_s: f64) -> Option<Priority> {
-    let after_grace = |late, early| if held_s > GRACE_S { late } else { early };
-    match (safety, posture) {
-        (SafetyWord::Safe, Posture::Closed | Posture::Opening | Posture::Open | Posture::Closing) => None,
-        (SafetyWord::Safe, Posture::Unknown) => Some(Priority::High),
-        (SafetyWord::Unsafe, Posture::Closed) => None,
-        (SafetyWord::Unsafe, Posture::Closing) => Some(after_grace(Priority::Critical, Priority::Medium)),
-        (SafetyWord::Unsafe, Posture::Open) => Some(after_grace(Priority::Critical, Priority::High)),
-        (SafetyWord::Unsafe, Posture::Opening | Posture::Unknown) => Some(Priority::Critical),
-        (SafetyWord::Unknown, Posture::Closed) => Some(Priority::Medium),
-        (SafetyWord::Unknown, Posture::Opening | Posture::Closing) => Some(Priority::High),
-        (SafetyWord::Unknown, Posture::Open | Posture::Unknown) => Some(Priority::Critical),
-    }
 }
 
 fn devices(telescope: &Telescope, now: MachineTime) -> Heads {

@@ -5,14 +5,6 @@ use super::*;
 use crate::model::tests::received;
 use crate::network::Network;
 
-#[test]
-fn unsafe_and_closed_is_quiet_but_open_and_blind_is_the_loudest() {
-    assert_eq!(concern(SafetyWord::Unsafe, Posture::Closed, 1e6), None);
-    assert_eq!(concern(SafetyWord::Safe, Posture::Open, 0.0), None);
-    assert_eq!(concern(SafetyWord::Unknown, Posture::Unknown, 0.0), Some(Priority::Critical));
-    assert_eq!(concern(SafetyWord::Unsafe, Posture::Opening, 0.0), Some(Priority::Critical));
-}
-
 /// The summary of a telescope long after these last states, by the node's path below `node`.
 fn long_after(states: &[(&str, serde_json::Value)]) -> Face {
     let address = Address::new("paranal", "callisto").unwrap();
@@ -61,13 +53,6 @@ fn a_telescope_that_was_stopped_in_good_order_concerns_nobody_and_names_who_stop
 }
 
 #[test]
-fn a_roof_that_is_still_open_becomes_critical_after_the_grace() {
-    assert_eq!(concern(SafetyWord::Unsafe, Posture::Open, 10.0), Some(Priority::High));
-    assert_eq!(concern(SafetyWord::Unsafe, Posture::Open, 31.0), Some(Priority::Critical));
-    assert_eq!(concern(SafetyWord::Unsafe, Posture::Closing, 10.0), Some(Priority::Medium));
-}
-
-#[test]
 fn figures_are_in_arcsec_and_of_now_or_absent() {
     let address = Address::new("paranal", "callisto").unwrap();
     let night = include_str!("../../common/contract/golden/v1/observatory.night.json");
@@ -99,8 +84,8 @@ fn the_night_is_the_one_under_which_frames_of_now_are_filed() {
         let address = Address::new("paranal", "callisto").unwrap();
         let file = json!({ "site": "paranal", "telescope": "callisto", "latitude_deg": -24.6, "longitude_deg": longitude_deg,
             "elevation_m": 2518.0 });
-        let network = Network::new(Clock::machine_clock(), address.clone());
-        let network = network.with_site(serde_json::from_value(file).unwrap());
+        let file: config::Place = serde_json::from_value(file).unwrap();
+        let network = Network::new(Clock::machine_clock(), &file);
         let model = network.read();
         let now = MachineTime::from_boot(Duration::from_secs(1));
         Summary::of(&model, &address, &model.telescopes[&address], now, at.parse().unwrap()).face.night

@@ -1,11 +1,12 @@
 //! The addresses on the bus of the programs that `starmesh up` starts.
 //!
-//! The supervisor itself has the addresses of `[bus] listen`: it runs as long as `starmesh up` does, and nodes come and
-//! go. Each node listens on a free port of the same interface, and meets the supervisor on this host.
+//! The supervisor itself has the addresses of `[bus] listen`, and one more of this host: it runs as long as
+//! `starmesh up` does, and nodes come and go. Each node listens on a free port of the same interfaces, meets the
+//! supervisor, and asks for its addresses again and again (`bus`): device nodes guard their domes on when the supervisor
+//! was killed, and whoever looks for them has those addresses alone.
 
 use std::net::UdpSocket;
 
-use bus::Bus;
 use node::lines;
 
 /// The addresses of the supervisor: as the file has them, and on this host.
@@ -18,48 +19,45 @@ pub fn of_supervisor(file: &config::Bus) -> config::Bus {
 /// A free port of this host.
 const HERE: &str = "tcp/127.0.0.1:0";
 
-/// The address of the supervisor for programs of this host.
-pub async fn on_this_host(supervisor: &Bus) -> Option<String> {
-    supervisor.locators().await.into_iter().find(|locator| is_here(locator))
+/// The address of the supervisor for programs of this host, of all that it has: none of the file, which another program
+/// may get later.
+pub fn on_this_host(file: &config::Bus, locators: &[String]) -> Option<String> {
+    let is_own = |locator: &&String| locator.starts_with("tcp/127.0.0.1:") && !is_named(file, locator);
+    locators.iter().find(is_own).cloned()
 }
 
-fn is_here(locator: &str) -> bool {
-    locator.starts_with("tcp/127.0.0.1:")
-}
-
-/// The arguments of a node with its addresses to listen on and to connect to.
-pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
-    let mut arguments = Vec::new();
-    let locators = supervisor.locators().await;
-    for endpoint in &file.listen {
-        arguments.extend(["--listen".to_owned(), with_free_port(endpoint)]);
+/// The arguments of a node with its addresses to listen on and to connect to; `here` is that of the supervisor on this
+/// host.
+pub fn of_nodes(file: &config::Bus, here: Option<&str>) -> Vec<String> {
+    let mut listen: Vec<&str> = file.listen.iter().map(String::as_str).collect();
+    if listen.is_empty() && file.multicast {
+        // As a node does whose file names none.
+        listen.push("tcp/0.0.0.0:0");
     }
+    let asked_for = listen.into_iter().chain(here).map(|endpoint| ["--listen", endpoint]);
+    asked_for.chain(here.map(|here| ["--connect", here])).flatten().map(str::to_owned).collect()
+}
+
+/// Complains of what a person does not expect: a host without a network, and addresses that the supervisor did not get.
+pub fn complain(file: &config::Bus, locators: &[String]) {
     if file.listen.is_empty() && file.multicast && !has_network() {
-        // zenoh announces no address of this host's own where the host has no other one.
-        for endpoint in ["tcp/0.0.0.0:0", HERE] {
-            arguments.extend(["--listen".to_owned(), endpoint.to_owned()]);
-        }
         lines::complain("starmesh: this host has no network; its own nodes and commands meet all the same");
-    }
-    for locator in locators.iter().filter(|locator| is_here(locator)) {
-        arguments.extend(["--connect".to_owned(), locator.clone()]);
     }
     // The address of files without `[bus]` is for all of them: the first has it, and the others meet it there.
     let own = file.listen.iter().filter(|endpoint| *endpoint != config::endpoints::THIS_HOST);
-    for endpoint in own.filter(|endpoint| is_elsewhere(endpoint, &locators)) {
+    for endpoint in own.filter(|endpoint| is_elsewhere(endpoint, locators)) {
         lines::complain(format_args!(
             "starmesh: {endpoint} of [bus] listen is held by another program, or is no address of this host; \
              the nodes go on without it and meet the others where they can"
         ));
     }
-    arguments
 }
 
 /// Where the bus of a file is reached, for a person.
 pub fn shown(file: &config::Bus, locators: &[String]) -> String {
     // The loopback port of the nodes of this file is one more address of the same program.
-    let named = |locator: &&String| file.listen.iter().any(|endpoint| port(endpoint) == port(locator));
-    let mut addresses: Vec<&str> = locators.iter().filter(named).map(String::as_str).collect();
+    let named = locators.iter().filter(|locator| is_named(file, locator));
+    let mut addresses: Vec<&str> = named.map(String::as_str).collect();
     if addresses.is_empty() {
         addresses.extend(locators.iter().take(1).map(String::as_str));
     }
@@ -73,6 +71,11 @@ pub fn shown(file: &config::Bus, locators: &[String]) -> String {
     format!("the bus is at {addresses} ({whom})")
 }
 
+/// Has the file an address with the port of this one?
+fn is_named(file: &config::Bus, locator: &str) -> bool {
+    file.listen.iter().any(|endpoint| port(endpoint) == port(locator))
+}
+
 /// The port of an endpoint, as text.
 fn port(endpoint: &str) -> Option<&str> {
     endpoint.split(['?', '#']).next().and_then(|address| address.rsplit_once(':')).map(|(_, port)| port)
@@ -82,15 +85,6 @@ fn port(endpoint: &str) -> Option<&str> {
 fn has_network() -> bool {
     // Nothing is sent: the system looks up the route to an address that is reserved for documents.
     UdpSocket::bind("0.0.0.0:0").and_then(|socket| socket.connect("192.0.2.1:9")).is_ok()
-}
-
-/// The same interface with a port that the system chooses.
-fn with_free_port(endpoint: &str) -> String {
-    let end = endpoint.find(['?', '#']).unwrap_or(endpoint.len());
-    match endpoint.get(..end).and_then(|address| address.rsplit_once(':')) {
-        Some((host, _)) => format!("{host}:0{}", endpoint.get(end..).unwrap_or_default()),
-        None => endpoint.to_owned(),
-    }
 }
 
 /// Does this session listen nowhere on the port that was requested?
@@ -103,15 +97,28 @@ fn is_elsewhere(endpoint: &str, locators: &[String]) -> bool {
 mod tests {
     use super::*;
 
+    fn bus(listen: &[&str], multicast: bool) -> config::Bus {
+        let listen = listen.iter().map(|endpoint| (*endpoint).to_owned()).collect();
+        config::Bus { listen, connect: Vec::new(), multicast }
+    }
+
     #[test]
-    fn nodes_listen_on_the_interface_that_the_file_names() {
-        for (endpoint, node) in [
-            ("tcp/10.0.0.5:7447", "tcp/10.0.0.5:0"),
-            ("tcp/[::1]:7447", "tcp/[::1]:0"),
-            ("tcp/0.0.0.0:7447#iface=eth0", "tcp/0.0.0.0:0#iface=eth0"),
+    fn nodes_ask_for_all_addresses_of_the_supervisor_so_that_one_of_them_has_each_when_it_was_killed() {
+        let locators = ["tcp/127.0.0.1:7447".to_owned(), "tcp/127.0.0.1:40001".to_owned()];
+        let here = locators[1].as_str();
+        for (file, listen) in [
+            (config::Bus::of_this_host(), Some("tcp/127.0.0.1:7447")),
+            (bus(&["tcp/10.0.0.5:7447"], true), Some("tcp/10.0.0.5:7447")),
+            (bus(&[], true), Some("tcp/0.0.0.0:0")),
+            (bus(&[], false), None),
         ] {
-            assert_eq!(with_free_port(endpoint), node);
+            let mut words: Vec<&str> = listen.into_iter().chain([here]).flat_map(|at| ["--listen", at]).collect();
+            words.extend(["--connect", here]);
+            assert_eq!(of_nodes(&file, Some(here)), words);
         }
+        let none = config::Bus::of_this_host();
+        assert_eq!(on_this_host(&none, &locators).as_deref(), Some(here), "the other one may be another program's");
+        assert_eq!(on_this_host(&none, &locators[..1]), None);
     }
 
     #[test]
@@ -123,11 +130,6 @@ mod tests {
 
     #[test]
     fn a_person_reads_where_the_bus_is_and_who_reaches_it() {
-        let bus = |listen: &[&str], multicast| config::Bus {
-            listen: listen.iter().map(|endpoint| (*endpoint).to_owned()).collect(),
-            connect: Vec::new(),
-            multicast,
-        };
         let locators = ["tcp/127.0.0.1:7447".to_owned(), "tcp/127.0.0.1:40001".to_owned()];
         let none = config::Bus::of_this_host();
         assert_eq!(shown(&none, &locators), "the bus is at tcp/127.0.0.1:7447 (this host only)");

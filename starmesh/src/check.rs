@@ -2,18 +2,28 @@
 
 mod files;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context as _, bail, ensure};
 use clap::Args;
 use config::Observatory;
-use contract::observatory::{Finding, ScheduleFindings, Severity};
+use contract::device::DeviceDescription;
+use contract::device::filter_wheel::Capabilities;
+use contract::observatory::{Check, Finding, ScheduleFindings, Severity};
+use contract::{Key, Kind, Name, Topic};
 use schedule::read_text;
 use schedule::validate::{self, KnownFacts};
 use units::Utc;
 
 use crate::console::{foreign_line, line};
+use crate::join::Join;
+
+/// A session that has just opened does not know all its peers: so often filter wheels are asked.
+const TRIES: u32 = 4;
+const ANSWER: Duration = Duration::from_secs(1);
 
 /// Options of `starmesh check`.
 #[derive(Debug, Args)]
@@ -29,6 +39,8 @@ pub struct Options {
     /// Send everybody who gets alerts, by `[alerts]`, a message that says that it is a test.
     #[arg(long)]
     send_test_message: bool,
+    #[command(flatten)]
+    join: Join,
 }
 
 /// Proves the file, and the FITS-header table, the star catalogue and the schedule that it names.
@@ -43,15 +55,21 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         );
         let default = options.file.with_file_name("observatory.toml");
         let of = options.config.as_deref().unwrap_or(&default);
-        let (config, _) = node::configuration::read_config(of)
-            .context("a schedule is checked with the configuration of its telescope; name it by --config")?;
-        return schedule(&options.file, config, options.at);
+        let read = node::configuration::read_config(of);
+        if read.is_err() {
+            let text = node::configuration::config_text(of).unwrap_or_default();
+            let (readable, _) = config::examine(&text, of.parent().unwrap_or(Path::new(".")));
+            rows_alone(&options.file, readable.as_ref())?;
+        }
+        let (config, _) =
+            read.context("a schedule is checked with the configuration of its telescope; name it by --config")?;
+        return schedule(&options.file, config, options.at, &options.join).await;
     }
     let config = configuration(&options.file)?;
     let sent = if options.send_test_message { send_test_message(&config).await } else { Ok(()) };
     let file = config.schedule.file.clone();
     if file.exists() {
-        schedule(&file, config, options.at)?;
+        schedule(&file, config, options.at, &options.join).await?;
     } else {
         line(format_args!("  no schedule yet at {}", file.display()))?;
     }
@@ -106,6 +124,11 @@ fn configuration(file: &Path) -> anyhow::Result<Observatory> {
     }
     let errors = faults.iter().filter(|fault| fault.severity == Severity::Error).count();
     let warnings = faults.len() - errors;
+    if errors > 0
+        && let Some(config) = &config
+    {
+        rows_alone(&config.schedule.file, Some(config))?;
+    }
     let Some(config) = config.filter(|_| errors == 0) else {
         bail!("{shown} is not a valid configuration: {errors} errors, {warnings} warnings");
     };
@@ -131,13 +154,63 @@ fn configuration(file: &Path) -> anyhow::Result<Observatory> {
     Ok(config)
 }
 
+/// Prints the faults that the rows of a schedule have by themselves, as far as a configuration can be read that is not
+/// valid; nothing where there is no schedule yet.
+fn rows_alone(file: &Path, config: Option<&Observatory>) -> anyhow::Result<()> {
+    let Ok(text) = read_text(file) else { return Ok(()) };
+    let cameras = config.map(|config| config.camera.as_slice()).unwrap_or_default();
+    let names: Vec<Name> = cameras.iter().map(|camera| camera.common.name.clone()).collect();
+    let mut findings = schedule::read_with(&text, &names, &schedule::defaults_of(cameras)).findings;
+    // Its cameras and their defaults may be what is wrong.
+    findings.retain(|finding| match finding.check {
+        Check::Device => false,
+        Check::Schema => config.is_some(),
+        _ => true,
+    });
+    print_findings(file, &text, &findings)?;
+    let shown = file.display();
+    foreign_line(format_args!("{shown}: not checked: devices and sky, which need a configuration that is valid"))
+}
+
+/// The filters that the wheels of a telescope report now, where its nodes run here or an address leads to them.
+async fn reported_filters(config: &Observatory, join: &Join) -> BTreeMap<Name, Vec<String>> {
+    let (address, mut found) = (config.address(), BTreeMap::new());
+    if config.filterwheel.is_empty() || !join.leads_to(&address) {
+        return found;
+    }
+    let bus = match join.open().await {
+        Ok(bus) => bus,
+        Err(error) => {
+            node::lines::complain(format_args!("starmesh: the filter wheels are not asked: {error:#}"));
+            return found;
+        }
+    };
+    let keys = Topic::Capabilities.at(&address).of_kind(Kind::FilterWheel);
+    for _ in 0..TRIES {
+        for (key, sample) in bus.get_all::<DeviceDescription<Capabilities>>(keys, ANSWER).await {
+            if let Key::Capabilities(wheel) = key {
+                found.insert(wheel.name, sample.body.can.names);
+            }
+        }
+        if found.len() >= config.filterwheel.len() {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(300)).await;
+    }
+    bus.close().await;
+    found
+}
+
 /// Prints all findings of a schedule, each with its place in the file.
-fn schedule(file: &Path, config: Observatory, at: Option<Utc>) -> anyhow::Result<()> {
+async fn schedule(file: &Path, config: Observatory, at: Option<Utc>, join: &Join) -> anyhow::Result<()> {
     let shown = file.display();
     let text = read_text(file).with_context(|| format!("cannot read {shown}"))?;
     // A simulated night has another time than this machine.
     let now = at.or((config.clock.simulator.is_none()).then(|| bus::Clock::machine_clock().utc()));
-    let known = KnownFacts::of(Arc::new(config));
+    let reported = reported_filters(&config, join).await;
+    let known = reported
+        .into_iter()
+        .fold(KnownFacts::of(Arc::new(config)), |known, (wheel, filters)| known.with_filters(&wheel, filters));
     let found = validate::validate(&text, &now.into_iter().fold(known, KnownFacts::at));
     let ScheduleFindings { valid, rows, errors, warnings, findings, unchecked } = found;
     print_findings(file, &text, &findings)?;
@@ -182,8 +255,6 @@ fn quoted(text: &str, finding: &Finding) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use contract::observatory::Check;
-
     use super::*;
 
     fn at(line: u32, column: u32) -> Finding {

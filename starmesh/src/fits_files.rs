@@ -1,5 +1,6 @@
 //! `starmesh fits`: what an archive would refuse in FITS files, and copies of them that it accepts (docs/fits.md).
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -64,18 +65,20 @@ pub fn run(command: &FitsCommand) -> anyhow::Result<()> {
 
 fn check(options: &Check) -> anyhow::Result<()> {
     let profile = Profile::load(options.profile)?;
-    let (mut violations, mut wrong, mut unreadable) = (0, 0, 0);
+    let (mut left, mut wrong, mut unreadable) = (0, 0, 0);
+    let mut mended = Vec::new();
     for file in &options.files {
-        match profile::check(file, &profile) {
+        match profile::check_copy(file, &profile) {
             Ok(found) => {
-                for violation in &found {
+                for violation in &found.left {
                     foreign_line(format_args!("{}: {violation}", file.display()))?;
                 }
                 for warning in profile::warnings(file, &profile)? {
                     foreign_line(format_args!("{}: warning: {warning}", file.display()))?;
                 }
-                violations += found.len();
-                wrong += usize::from(!found.is_empty());
+                left += found.left.len();
+                wrong += usize::from(!found.left.is_empty() || !found.mended.is_empty());
+                mended.extend(found.mended.into_iter().map(|violation| (file, violation)));
             }
             Err(error) => {
                 complain(&error);
@@ -83,17 +86,53 @@ fn check(options: &Check) -> anyhow::Result<()> {
             }
         }
     }
-    let count = options.files.len();
-    if unreadable > 0 {
-        bail!(
-            "{unreadable} of {count} files cannot be checked; {violations} violations of profile {} in the others",
-            options.profile
-        );
+    // What a person has to see to comes first.
+    for (file, violation) in &mended {
+        foreign_line(format_args!("{}: {violation}", file.display()))?;
     }
-    if violations > 0 {
-        bail!("{violations} violations of profile {} in {wrong} of {count} files", options.profile);
+    let (name, count, violations) = (options.profile, options.files.len(), left + mended.len());
+    let mut found = match (unreadable, violations) {
+        (0, 0) => return foreign_line(format_args!("{count} files, no violation of profile {name}")),
+        (0, _) => format!("{violations} violations of profile {name} in {wrong} of {count} files"),
+        _ => format!(
+            "{unreadable} of {count} files cannot be checked; {violations} violations of profile {name} in the others"
+        ),
+    };
+    if !mended.is_empty() {
+        found += &match left {
+            0 => "; a copy has none of them".to_owned(),
+            _ => format!(
+                "; {left} of them, which are listed first, would be in a copy too, and keep it from being made (--set KEYWORD=VALUE \
+                 gives a value that is missing); the other {} are mended in a copy",
+                mended.len()
+            ),
+        };
+        found += &format!(": starmesh fits convert --profile {name} --out copies {}", typed(&options.files));
     }
-    foreign_line(format_args!("{count} files, no violation of profile {}", options.profile))
+    bail!("{}", contract::printable(&found))
+}
+
+/// Files as a person types them; more than some by patterns.
+fn typed(files: &[PathBuf]) -> String {
+    const FEW: usize = 4;
+    let pattern = |file: &PathBuf| {
+        let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = folder.map(|folder| quoted(folder) + "/").unwrap_or_default();
+        let ending = file.extension().map(|ending| format!(".{}", ending.display())).unwrap_or_default();
+        format!("{folder}*{ending}")
+    };
+    let words: Vec<String> = match files.len() {
+        ..=FEW => files.iter().map(|file| quoted(file)).collect(),
+        _ => files.iter().map(pattern).collect::<BTreeSet<String>>().into_iter().collect(),
+    };
+    words.join(" ")
+}
+
+/// A path as a word of a shell.
+fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+=:@%,".contains(c);
+    if text.chars().all(is_plain) { text } else { format!("'{}'", text.replace('\'', r"'\''")) }
 }
 
 fn convert(options: &Convert) -> anyhow::Result<()> {

@@ -1,6 +1,7 @@
 //! How a command finds the bus.
 
 use clap::Args;
+use contract::Address;
 
 use crate::running;
 
@@ -28,6 +29,11 @@ impl Join {
         Ok(bus::Bus::visit(&config, bus::Clock::machine_clock()).await?)
     }
 
+    /// Is it known where the nodes of a telescope are: here, or at an address that was given?
+    pub fn leads_to(&self, telescope: &Address) -> bool {
+        !self.connect.is_empty() || running::all().iter().any(|running| running.telescope == *telescope)
+    }
+
     /// Where this looked, for the message that it found nothing.
     pub fn tried(&self) -> String {
         let multicast = match self.no_multicast {
@@ -37,16 +43,15 @@ impl Join {
         if !self.connect.is_empty() {
             return format!("looked at {} (--connect) and {multicast}", self.connect.join(", "));
         }
-        let here = running::all().into_iter().map(|running| {
-            format!("`starmesh {}` of {} in {}", running.command, running.telescope, running.folder.display())
-        });
-        let here: Vec<String> = here.collect();
+        let here: Vec<String> = running::all().iter().map(ToString::to_string).collect();
         let here = match here.as_slice() {
             [] => format!("no `starmesh demo` or `starmesh up` of this account runs here{}", files()),
             found => format!("here run {}", found.join(", ")),
         };
         format!(
-            "looked at {multicast}; {here}. Start one, or name a host's address with --connect, such as --connect tcp/10.0.0.5:7447"
+            "looked at {multicast}; {here}. Start one, or name a host's address with --connect, such as --connect tcp/10.0.0.5:7447, \
+             and --connect {} for what another account runs here",
+            config::endpoints::THIS_HOST
         )
     }
 }

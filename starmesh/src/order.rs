@@ -1,5 +1,6 @@
 //! `starmesh order`: what a person may order of one telescope, from any machine on its bus.
 
+use std::ops::ControlFlow;
 use std::time::Duration;
 
 use anyhow::{anyhow, bail};
@@ -8,7 +9,7 @@ use contract::command::operator;
 use contract::observatory::OperatorOrders;
 use contract::order_form::{ORDERS, OrderForm, OrderParameter, ParameterValue, check_reason};
 use contract::{Address, CommandId, Key, Order, OrderKind, Part, printable};
-use orders::{Follower, NotAccepted, NotDone, TakenBy};
+use orders::{Follower, GivenOn, NotAccepted, NotDone, TakenBy};
 use serde_json::{Map, Value, json};
 
 use crate::console::{foreign_line, line};
@@ -121,8 +122,8 @@ impl FromArgMatches for OrderCommand {
     }
 }
 
-/// How often an order that nobody answered is given again; a session that has just opened does not know all its peers.
-const TRIES: u32 = 5;
+/// So long an order is given that nobody answers; a session that has just opened does not know all its peers.
+const WITHIN: Duration = Duration::from_secs(10);
 
 /// Gives the order and prints what became of it.
 pub async fn run(options: Options) -> anyhow::Result<()> {
@@ -170,22 +171,20 @@ pub async fn give(telescope: &str, kind: OrderKind, by: By, waits: Waits, join: 
 
 /// Gives an order that only the observatory node can execute; again while nobody answers.
 async fn accept(bus: &bus::Bus, address: &Address, order: &Order, join: &Join) -> anyhow::Result<()> {
-    for tried in 0.. {
-        match orders::give(bus, address, order).await {
-            Ok(()) => break,
-            Err(error) if error.is_silence() && tried < TRIES => {
-                // A mistyped name is reported at once where others answer.
-                let known = telescopes::known(bus).await;
-                if !known.is_empty() && !telescopes::is_known(address, &known, bus).await {
-                    return Err(telescopes::mistyped(address, &known, join));
-                }
-            }
-            Err(error) if error.is_silence() => return Err(telescopes::unanswered(address, bus, join).await),
-            Err(error) => return Err(refused(&error)),
+    let unless_mistyped = || async move {
+        // A mistyped name is reported at once where others answer.
+        let known = telescopes::known(bus).await;
+        if known.is_empty() || telescopes::is_known(address, &known, bus).await {
+            return ControlFlow::Continue(());
         }
-        tokio::time::sleep(Duration::from_millis(500)).await;
+        ControlFlow::Break(telescopes::mistyped(address, &known, join))
+    };
+    match orders::give_until_answered(bus, address, order, WITHIN, unless_mistyped).await {
+        Ok(None) => Ok(()),
+        Ok(Some(mistyped)) => Err(mistyped),
+        Err(error) if error.is_silence() => Err(telescopes::unanswered(address, bus, join).await),
+        Err(error) => Err(refused(&error)),
     }
-    Ok(())
 }
 
 fn refused(error: &NotAccepted) -> anyhow::Error {
@@ -204,15 +203,20 @@ async fn close(bus: &bus::Bus, address: &Address, order: &Order, waits: Waits, j
         true => String::new(),
         false => format!("; waiting until it is verified closed, at most {:.0} s", wait.as_secs_f64()),
     };
+    let mut was_silent = false;
     let print = |taken: &TakenBy| {
         // A reader that has gone does not keep the telescope from being closed.
         let _ = match taken {
+            TakenBy::Observatory if was_silent => {
+                foreign_line(format_args!("the observatory node of {address} answers now: accepted{until}"))
+            }
             TakenBy::Observatory => line(format_args!("accepted{until}")),
             TakenBy::Domes(domes) => {
+                was_silent = true;
                 let domes: Vec<String> = domes.iter().map(ToString::to_string).collect();
                 let domes = domes.join(", ");
                 foreign_line(format_args!(
-                    "no observatory node of {address} answers: the device node of {domes} was ordered to close{until}"
+                    "no observatory node of {address} has answered yet: the device node of {domes} was ordered to close{until}"
                 ))
             }
         };
@@ -230,8 +234,9 @@ async fn close(bus: &bus::Bus, address: &Address, order: &Order, waits: Waits, j
     }
     let Some(warning) = taken.warning() else { return Ok(()) };
     line(format_args!("but {warning}. It is asked for {} s more", heard.as_secs()))?;
-    match orders::give_on(bus, address, order, heard).await {
-        Ok(()) => line(format_args!("{}", orders::HEARD_LATER)),
+    match orders::give_on(bus, &follower, order, heard).await {
+        Ok(taken @ GivenOn::Taken) => line(format_args!("{}", taken.words())),
+        Ok(replaced) => bail!("it was only closed: {}", printable(&replaced.words())),
         Err(error) if error.is_silence() => bail!("it was only closed: no observatory node has taken the order"),
         Err(error) => Err(refused(&error)),
     }

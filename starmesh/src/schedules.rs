@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use clap::{Args, Subcommand};
-use contract::observatory::{RowState, RowStatus, ScheduleDraft, ScheduleFindings, ScheduleState};
+use contract::observatory::{
+    RowState, RowStatus, ScheduleDraft, ScheduleFindings, ScheduleState, ScheduleTextQuestion, ScheduleTexts,
+};
 use contract::{Key, OrderKind, Part};
 use node_observatory::schedule_file::versions::Versions;
 use schedule::read_text;
@@ -148,20 +150,21 @@ async fn show_rows(rows: Rows) -> anyhow::Result<()> {
         tokio::time::sleep(Duration::from_millis(300)).await;
     }
     let Some((_, sample)) = found else { return Err(telescopes::unanswered(&address, &bus, &rows.join).await) };
+    let (key, question) = (Key::ScheduleTexts(address), ScheduleTextQuestion::default());
+    let texts = bus.ask::<_, ScheduleTexts>(&key, &question, Duration::from_secs(2)).await.ok();
     bus.close().await;
-    for text in row_lines(&sample.body) {
+    let texts = texts.filter(|texts| texts.sha256 == sample.body.sha256);
+    let version = texts.and_then(|texts| texts.versions.first().map(|stored| stored.version));
+    for text in row_lines(&sample.body, version) {
         foreign_line(format_args!("{text}"))?;
     }
     Ok(())
 }
 
-fn row_lines(schedule: &ScheduleState) -> Vec<String> {
-    let mut lines = vec![format!(
-        "{} ({} rows, version {} since the node started)",
-        schedule.file,
-        schedule.rows.len(),
-        schedule.revision
-    )];
+/// `version`: its number in `starmesh schedule list`, where it is known.
+fn row_lines(schedule: &ScheduleState, version: Option<u64>) -> Vec<String> {
+    let version = version.map(|version| format!(", version {version}")).unwrap_or_default();
+    let mut lines = vec![format!("{} ({} rows{version})", schedule.file, schedule.rows.len())];
     if let Some(why) = &schedule.refused {
         lines.push(format!("the newest file was not taken: {why}"));
     }
@@ -217,4 +220,17 @@ fn show(versions: &Versions, version: Option<u64>) -> anyhow::Result<()> {
         document_line(row)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_schedule_has_the_number_that_the_list_of_schedules_gives_it() {
+        let sample = include_str!("../../common/contract/golden/v1/observatory.schedule.json");
+        let state: ScheduleState = serde_json::from_str(sample).unwrap();
+        assert_eq!(row_lines(&state, Some(12))[0], "2026-11-20.jsonl (2 rows, version 12)");
+        assert_eq!(row_lines(&state, None)[0], "2026-11-20.jsonl (2 rows)", "not in the list yet");
+    }
 }

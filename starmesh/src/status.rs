@@ -8,7 +8,7 @@ use clap::Args;
 use contract::device::dome::{self, Shutter};
 use contract::node::NodeState;
 use contract::observatory::{
-    Alert, Alerts, NightState, OperatorOrders, Posture, SafetyState, ScheduleState, Unsafe, Verdict, merge,
+    Alert, Alerts, NightState, OperatorOrders, Posture, SafetyState, ScheduleState, Standing, Unsafe, Verdict, merge,
 };
 use contract::{Address, Device, DeviceState, Key, Kind, NodeTopic, Part, Role, Stamped, Topic};
 use overview::{DomeView, PublishedGuard, Seen, length};
@@ -17,7 +17,7 @@ use units::Utc;
 use crate::console::{foreign_line, line};
 use crate::join::Join;
 
-/// So many alerts of a telescope are shown: the most urgent ones.
+/// So many alerts of a telescope are shown: those that need somebody first, and of these the most urgent ones.
 const MOST_ALERTS: usize = 5;
 
 /// Options of `starmesh status`.
@@ -42,8 +42,8 @@ struct Status {
     safety: Option<SafetyState>,
     schedule: Option<ScheduleState>,
     orders: Option<OperatorOrders>,
-    /// The alerts that its observatory node merges; the most urgent first.
-    merged: Vec<Alert>,
+    /// The alerts that its observatory node merges; none until that has published them, as just after its start.
+    merged: Option<Vec<Alert>>,
     /// The alerts of each of its nodes.
     own: Vec<Alert>,
     /// Its nodes that answer, of whatever role.
@@ -103,10 +103,10 @@ impl Found {
         self.telescopes.entry(key.address().clone()).or_default()
     }
 
-    /// Has every telescope an observatory node that publishes?
+    /// Has every telescope an observatory node that publishes, also its alerts?
     fn all_report(&self) -> bool {
         let mut telescopes = self.telescopes.iter().filter(|(address, _)| !is_shared(address));
-        telescopes.all(|(_, status)| status.night.is_some())
+        telescopes.all(|(_, status)| status.night.is_some() && status.merged.is_some())
     }
 
     /// Asks for all states at once: a node that hangs costs the time of one question.
@@ -159,7 +159,7 @@ impl Found {
             self.at(&key).orders = Some(sample.body);
         }
         for (key, sample) in alerts {
-            self.at(&key).merged = sample.body.alerts;
+            self.at(&key).merged = Some(sample.body.alerts);
         }
         // A telescope of which only the dome answers is not left out.
         let addresses: Vec<Address> = self.domes.keys().map(|dome| dome.address.clone()).collect();
@@ -237,10 +237,10 @@ impl Status {
         let sky = night.map_or_else(|| "-".to_owned(), sky_word);
         let alerts = self.alerts(domes, of_shared);
         // As on the page: what somebody sees to, has shelved, or is over, needs nobody else.
-        let needs_someone = |alert: &&Alert| {
-            alert.acknowledged_by.is_none() && alert.shelved_by.is_none() && alert.returned_utc.is_none()
+        let count = match alerts.iter().filter(|alert| alert.standing() == Standing::Active).count() {
+            0 if self.merged.is_none() => "?".to_owned(),
+            count => count.to_string(),
         };
-        let (count, shown) = (alerts.iter().filter(needs_someone).count(), alerts.len());
         let now = self.now(address, domes);
         let head = format!("{:28} {safety:8} {posture:9} {mode:8} {sky:14} {count:>6}  {now}", address.to_string());
         let mut lines = vec![head.trim_end().to_owned()];
@@ -265,8 +265,9 @@ impl Status {
                 lines.push(all);
             }
         }
+        lines.extend(self.counted(&alerts));
         lines.extend(alerts.iter().take(MOST_ALERTS).map(alert_words));
-        if let Some(more) = shown.checked_sub(MOST_ALERTS).filter(|more| *more > 0) {
+        if let Some(more) = alerts.len().checked_sub(MOST_ALERTS).filter(|more| *more > 0) {
             lines.push(format!(
                 "    {more} more alerts: starmesh tail '{}'",
                 Key::Observatory(address.clone(), Part::Alerts)
@@ -275,17 +276,44 @@ impl Status {
         lines
     }
 
-    /// The list of the observatory node, which has what people did about each; where that node is silent, those of the
-    /// nodes themselves, and of a dome that the site shares.
+    /// The list of the observatory node, which has what people did about each; where that node is silent or has published
+    /// none yet, those of the nodes themselves, and of a dome that the site shares.
     fn alerts(&self, domes: &[DomeView], of_shared: &[Alert]) -> Vec<Alert> {
-        if self.night.is_some() {
-            return self.merged.clone();
-        }
-        let is_about =
-            |alert: &&Alert, dome: &DomeView| alert.id.split('/').any(|part| part == dome.dome.name.as_str());
-        let shared = of_shared.iter().filter(|alert| domes.iter().any(|dome| is_about(alert, dome)));
-        let all = self.merged.iter().chain(&self.own).chain(shared).cloned().collect();
-        merge(std::iter::once(Alerts { alerts: all, ..Alerts::default() })).alerts
+        let mut alerts = match &self.merged {
+            Some(merged) if self.night.is_some() => merged.clone(),
+            merged => {
+                let is_about =
+                    |alert: &&Alert, dome: &DomeView| alert.id.split('/').any(|part| part == dome.dome.name.as_str());
+                let shared = of_shared.iter().filter(|alert| domes.iter().any(|dome| is_about(alert, dome)));
+                let all = merged.iter().flatten().chain(&self.own).chain(shared).cloned().collect();
+                merge(std::iter::once(Alerts { alerts: all, ..Alerts::default() })).alerts
+            }
+        };
+        Alert::sort_for_people(&mut alerts);
+        alerts
+    }
+
+    /// How many alerts there are of each standing, and whether there may be more; nothing where there are none.
+    fn counted(&self, alerts: &[Alert]) -> Option<String> {
+        let words = [
+            (Standing::Active, "active"),
+            (Standing::SeenTo, "seen to or shelved"),
+            (Standing::Gone, "whose cause is gone"),
+        ];
+        let count = |(standing, words): (Standing, &str)| {
+            let count = alerts.iter().filter(|alert| alert.standing() == standing).count();
+            (count > 0).then(|| format!("{count} {words}"))
+        };
+        let counts: Vec<String> = words.into_iter().filter_map(count).collect();
+        let counts = Some(counts.join(", ")).filter(|counts| !counts.is_empty());
+        let is_coming = self.night.is_some() || self.nodes.iter().any(|(role, _)| *role == Role::Observatory);
+        let unknown = match (&self.merged, is_coming) {
+            (Some(_), _) => None,
+            (None, true) => Some("those of the observatory node are not known yet".to_owned()),
+            (None, false) => Some("those of the observatory node are not known".to_owned()),
+        };
+        let all: Vec<String> = counts.into_iter().chain(unknown).collect();
+        (!all.is_empty()).then(|| format!("    alerts: {}", all.join("; ")))
     }
 
     /// Its activity, or the present reason why it waits.
@@ -340,6 +368,10 @@ mod tests {
 
     use super::*;
 
+    fn not_closed(dome: &str) -> Alert {
+        AlertKind::DomeNotClosed.alert(dome, Utc::from_seconds(1.0), "it says open")
+    }
+
     fn shown(night: &str, safety: &str, rows: &str) -> Status {
         Status {
             night: Some(serde_json::from_str(night).unwrap()),
@@ -348,7 +380,7 @@ mod tests {
             schedule: Some(
                 serde_json::from_str(&format!(r#"{{"file": "s", "revision": 1, "rows": [{rows}]}}"#)).unwrap(),
             ),
-            merged: vec![AlertKind::DomeNotClosed.alert("dome", Utc::from_seconds(1.0), "it says open")],
+            merged: Some(vec![not_closed("dome")]),
             ..Status::default()
         }
     }
@@ -374,8 +406,9 @@ mod tests {
         assert_eq!(lines[1], "    not safe: wx/Humidity: 91 is above 80; when it clears cannot be known");
         assert_eq!(lines[2], "    not safe: wx/WindSpeed: good for 3.0 of 15.0 min; can clear in 12 min");
         assert_eq!(lines[3], "    when it will be safe again cannot be known yet");
-        assert!(lines[4].starts_with("    critical dome-not-closed/dome: it says open; "), "{lines:#?}");
-        let seven = Status { merged: vec![shown(NIGHT, SAFE, "").merged.remove(0); 7], ..shown(NIGHT, SAFE, "") };
+        assert_eq!(lines[4], "    alerts: 1 active");
+        assert!(lines[5].starts_with("    critical dome-not-closed/dome: it says open; "), "{lines:#?}");
+        let seven = Status { merged: Some(vec![not_closed("dome"); 7]), ..shown(NIGHT, SAFE, "") };
         let last = seven.lines(&address, &[], &[]).pop().unwrap();
         let alerts = Key::Observatory(address, Part::Alerts);
         assert_eq!(last, format!("    2 more alerts: starmesh tail '{alerts}'"));
@@ -416,6 +449,47 @@ mod tests {
             "{lines:#?}"
         );
         assert_eq!(lines[2], "    nodes of this telescope that answer: device/main, archive/main");
-        assert!(lines[3].contains("dome-not-closed/roof") && lines[4].contains("cooling-failed/cam"), "{lines:#?}");
+        assert_eq!(lines[3], "    alerts: 2 active; those of the observatory node are not known");
+        assert!(lines[4].contains("dome-not-closed/roof") && lines[5].contains("cooling-failed/cam"), "{lines:#?}");
+    }
+
+    #[test]
+    fn alerts_whose_cause_is_gone_are_counted_apart_and_displace_no_active_one() {
+        let address = Address::new("paranal", "io").unwrap();
+        let gone = |dome| Alert { returned_utc: Some(Utc::from_seconds(2.0)), ..not_closed(dome) };
+        let mut alerts: Vec<Alert> = ["a", "b", "c", "d", "e"].map(gone).into();
+        let warm = |camera: &str| AlertKind::CoolingFailed.alert(camera, Utc::from_seconds(3.0), "it is warm");
+        alerts.push(Alert { acknowledged_by: Some("ana".to_owned()), ..warm("a-first") });
+        alerts.extend(["one", "two"].map(warm));
+        let status = Status { merged: Some(alerts), ..shown(NIGHT, SAFE, "") };
+        let lines = status.lines(&address, &[], &[]);
+        assert!(lines[0].contains("simulated x60       2"), "{lines:#?}");
+        assert_eq!(lines[1], "    alerts: 2 active, 1 seen to or shelved, 5 whose cause is gone");
+        assert!(lines[2].contains("cooling-failed/one: it is warm;"), "{lines:#?}");
+        assert!(lines[3].contains("cooling-failed/two: it is warm;"), "{lines:#?}");
+        assert!(lines[4].contains("cooling-failed/a-first: it is warm (ana sees to it);"), "{lines:#?}");
+        assert!(lines[5].contains("dome-not-closed/a: it says open (its cause is gone);"), "{lines:#?}");
+        assert!(lines[7].starts_with("    3 more alerts: "), "{lines:#?}");
+    }
+
+    #[test]
+    fn alerts_that_an_observatory_node_has_not_published_yet_are_not_none() {
+        let address = Address::new("paranal", "io").unwrap();
+        let waits = "alerts: those of the observatory node are not known yet";
+        let starts = Status { nodes: [(Role::Observatory, "main".to_owned())].into(), ..Status::default() };
+        for status in [Status { merged: None, ..shown(NIGHT, SAFE, "") }, starts] {
+            let lines = status.lines(&address, &[], &[]);
+            assert!(lines[0].contains("     ?"), "{lines:#?}");
+            assert!(lines.iter().any(|line| line.trim() == waits), "{lines:#?}");
+        }
+        let own = vec![not_closed("dome")];
+        let status = Status { merged: None, own, ..shown(NIGHT, SAFE, "") };
+        let lines = status.lines(&address, &[], &[]);
+        assert!(lines[0].contains("     1"), "{lines:#?}");
+        assert_eq!(lines[1], "    alerts: 1 active; those of the observatory node are not known yet");
+        assert!(lines[2].contains("dome-not-closed/dome"), "{lines:#?}");
+        let none = Status { merged: Some(Vec::new()), ..shown(NIGHT, SAFE, "") };
+        let lines = none.lines(&address, &[], &[]);
+        assert!(lines.len() == 1 && lines[0].contains("     0"), "{lines:#?}");
     }
 }

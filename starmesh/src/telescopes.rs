@@ -119,7 +119,7 @@ async fn nodes(address: &Address, bus: &Bus) -> BTreeSet<(Role, String)> {
 fn in_files(address: &Address) -> Option<String> {
     let running = running::all().into_iter().find(|running| running.telescope == *address);
     if let Some(running) = running {
-        return Some(format!("`starmesh {}` in {}", running.command, running.folder.display()));
+        return Some(running.to_string());
     }
     let text = std::fs::read_to_string(CONFIGURATION).ok()?;
     let config = config::parse(&text, Path::new(".")).ok()?;

@@ -1,6 +1,6 @@
 //! `starmesh up`: starts and supervises the nodes of one telescope, one process per role, and one more device node per dome.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -12,13 +12,16 @@ use tokio::sync::oneshot;
 use tokio::task::JoinSet;
 
 use crate::bus_address;
-use crate::left::Left;
+use crate::left::{self, Left};
 use crate::reports::Reports;
 use crate::running;
 use crate::supervise::NodeProcess;
 
 /// How often the command prints what it waits for.
 const REPORT_AFTER: Duration = Duration::from_secs(10);
+
+/// The files that tell what the telescope does by itself are waited for so long.
+const BEGINNING: Duration = Duration::from_secs(5);
 
 /// A file that cannot be used is read again so often.
 const READ_AGAIN: Duration = Duration::from_secs(2);
@@ -49,8 +52,11 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     // The nodes of this file meet here whatever the file says, and are introduced to each other by gossip.
     node::log::show_log();
     let bus = Bus::open(&bus_address::of_supervisor(&config.bus), clock(&config).await).await?;
+    let locators = bus.locators().await;
+    bus_address::complain(&config.bus, &locators);
+    let here = bus_address::on_this_host(&config.bus, &locators);
     let mut arguments = options.node_arguments.clone();
-    arguments.extend(bus_address::of_nodes(&config.bus, &bus).await);
+    arguments.extend(bus_address::of_nodes(&config.bus, here.as_deref()));
     let (reports, reporting) = Reports::start(&bus, config.address());
     tokio::spawn(async {
         if let Err(error) = reporting.await {
@@ -64,9 +70,13 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
             tokio::time::sleep(Duration::from_secs(5)).await;
         }
     });
-    let here = bus_address::on_this_host(&bus).await;
-    let folder = options.file.parent().unwrap_or(std::path::Path::new("."));
-    let _running = here.map(|here| running::announce("up", &config.address(), &here, folder));
+    let folder = options.file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let nodes = left::path(&options.file);
+    let _running = here.and_then(|here| running::announce("up", &config.address(), &here, folder, Some(&nodes)));
+    let (told, beginning) = oneshot::channel();
+    let (site, now) = (config.clone(), bus.clock().utc());
+    // A disk that hangs keeps no node from its start.
+    std::thread::spawn(move || told.send(node_observatory::beginning::words(&site, now)));
     let node = |role, id: &str| NodeProcess {
         role,
         id: id.to_owned(),
@@ -105,7 +115,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let (stop_observatory, mut observatory) = run(if shared { &[] } else { &[Role::Observatory] });
     // They send and store what the others report until the end.
     let (stop_others, mut others) = run(&[Role::Archive, Role::Web]);
-    let at = bus_address::shown(&config.bus, &bus.locators().await);
+    let at = bus_address::shown(&config.bus, &locators);
     let (all, mut missing) = (first_starts.len(), Vec::new());
     for (name, is_started) in first_starts {
         if !is_started.await.unwrap_or(false) {
@@ -113,6 +123,9 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         }
     }
     let started = started(all, &missing);
+    if let Ok(Ok(Some(words))) = tokio::time::timeout(BEGINNING, beginning).await {
+        lines::print_line(contract::printable(&words));
+    }
     lines::print_line(format_args!("{}: {started}; {at}; {page}; Ctrl-C stops", config.address()));
     node::signals::end_asked().await;
     lines::print_line(

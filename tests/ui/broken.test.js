@@ -113,7 +113,9 @@ test("a page that no longer draws is hidden behind a red bar", TEST, async () =>
 });
 
 test("a page whose program never comes says so", TEST, async () => {
+  await page.clock.install();
   await page.route(/app\.js/, (route) => route.abort());
   await page.reload();
+  await page.clock.runFor(6000);
   await page.locator("#broken").waitFor();
 });

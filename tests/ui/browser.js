@@ -36,9 +36,9 @@ export const launch = (more = []) =>
       "--disable-component-update", "--disable-sync", ...more],
   });
 
-/** A page whose waits end when something hangs, and not before; `UI_SLOWER` says how many times slower it runs, which shows what a test takes for done too early. What a service worker asks for no test could replace, so there is none unless it is asked for. */
+/** A page whose waits end when something hangs, and not before, and in which nothing moves; `UI_SLOWER` says how many times slower it runs, which shows what a test takes for done too early. What a service worker asks for no test could replace, so there is none unless it is asked for. */
 export async function newPage(browser, options = {}) {
-  const page = await browser.newPage({ serviceWorkers: "block", ...options });
+  const page = await browser.newPage({ serviceWorkers: "block", reducedMotion: "reduce", ...options });
   page.setDefaultTimeout(LIMIT);
   if (process.env.UI_SLOWER) await (await page.context().newCDPSession(page)).send("Emulation.setCPUThrottlingRate", { rate: Number(process.env.UI_SLOWER) });
   return page;
@@ -108,6 +108,8 @@ export function problemsOf(page) {
     if (/^(http|ws)s?:$/.test(protocol) && origin.replace("ws:", "http:") !== new URL(page.url()).origin && page.url() !== "about:blank") problems.push(`${page.url()} asks ${request.url()}`);
   });
   page.on("dialog", (dialog) => {
+    // Whoever leaves a draft that is not stored is asked first.
+    if (dialog.type() === "beforeunload") return void dialog.accept();
     problems.push(`${page.url()}: a dialog of the browser: ${dialog.message()}`);
     dialog.dismiss();
   });
@@ -222,12 +224,24 @@ export async function everyAddress(page, id = "demo/alpha") {
 }
 
 /** Waits until a page has read what it shows. */
-export async function settled(page) {
-  await page.locator('body[data-link="live"]').waitFor();
-  await page.waitForFunction(() => {
-    const main = document.querySelector("main");
-    return main?.textContent && !/Reading |reading …|Connecting …|Loading …/.test(main.textContent);
-  });
+export const settled = (page) => page.waitForFunction(() => {
+  const main = document.querySelector("main");
+  return document.body?.dataset.link === "live" && main?.textContent && !/Reading |reading …|Connecting …|Loading …/.test(main.textContent);
+});
+
+/** Goes to another page of the server as a link does, without loading anything anew, and waits until it has read what it shows. From another server, or from the same path, it is loaded. */
+export async function follow(page, url) {
+  const isFollowed = await page.evaluate(async (to) => {
+    const { origin, pathname, search } = new URL(to);
+    if (origin !== location.origin || pathname === location.pathname) return false;
+    const { go } = await import("/assets/route.js");
+    go(pathname + search);
+    // It is drawn before the first of these frames, and has asked for what it shows after the second.
+    await new Promise((resolve) => { requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(resolve))); });
+    return true;
+  }, url);
+  if (!isFollowed) await page.goto(url);
+  await settled(page);
 }
 
 /** How often each component is drawn by a second that passes, or by a change of the summary of `id`. */
@@ -253,13 +267,59 @@ export const THEMES = ["dark", "light", "night"];
 /** Presses the theme's button. */
 export const chooseTheme = (page, theme) => page.evaluate((name) => document.querySelector(`[data-set-theme="${name}"]`).click(), theme);
 
-/** Serious findings of axe-core, one line each; `only` are the rules, all where it is absent. */
-export async function findings(page, only) {
-  if (!(await page.evaluate(() => "axe" in window))) await page.evaluate(axe);
-  return page.evaluate(async (rules) => {
-    const { violations } = await window.axe.run(document, { resultTypes: ["violations"], ...(rules && { runOnly: { type: "rule", values: rules } }) });
-    return violations.filter(({ impact }) => ["serious", "critical"].includes(impact)).flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.html.slice(0, 160)} ${node.any[0]?.message ?? ""}`));
-  }, only);
+/** How texts look that axe-core has found readable, on any page and in any theme: what looks the same is as readable. */
+const readable = new Set();
+
+/**
+ * Runs in a page that has axe-core: `found`, its serious findings, one line each. With `known`, of the contrast alone, and only of texts that look like none of these;
+ * `passed` is then how those look that are readable.
+ */
+async function look(known) {
+  const { axe } = /** @type {any} */ (window);
+  const ask = (context, values, resultTypes) => axe.run(context, { runOnly: { type: "rule", values }, resultTypes, elementRef: true, selectors: false });
+  const lines = ({ violations }) => violations.flatMap(({ id, nodes }) => nodes.map(({ element, any }) => `${id}: ${element.outerHTML.slice(0, 160)} ${any[0]?.message ?? ""}`));
+  if (!known) {
+    // Findings of the other rules would be none of these.
+    const isSerious = ({ enabled, impact, tags }) => enabled && ["serious", "critical"].includes(impact) && !tags.some((tag) => ["experimental", "deprecated"].includes(tag));
+    return { found: lines(await ask(document, axe._audit.rules.filter(isSerious).map(({ id }) => id), ["violations"])), passed: [] };
+  }
+  const backgrounds = new Map([[null, ""]]);
+  /** What is painted behind the text of an element, by itself and by all around it. */
+  const background = (one) => {
+    if (!backgrounds.has(one)) {
+      const { backgroundColor, backgroundImage, opacity, filter, mixBlendMode } = getComputedStyle(one);
+      const own = [backgroundColor, backgroundImage, opacity, filter, mixBlendMode].join(" ");
+      backgrounds.set(one, background(one.parentElement) + (own === "rgba(0, 0, 0, 0) none 1 none normal" ? "" : ` / ${own}`));
+    }
+    return backgrounds.get(one);
+  };
+  const looksLike = (one) => {
+    const { color, fontSize, fontWeight, textShadow } = getComputedStyle(one);
+    return `${color} ${fontSize} ${fontWeight} ${textShadow}${background(one)}`;
+  };
+  // Of what axe-core leaves out nothing is ever found readable: it would be looked at again on each page.
+  const isShown = (one) => {
+    const { width, height, right, bottom } = one.getBoundingClientRect();
+    return width > 1 && height > 1 && right + scrollX > 0 && bottom + scrollY > 0 && one.checkVisibility({ opacityProperty: true, visibilityProperty: true }) && !one.closest(':disabled, [aria-disabled="true"], [aria-hidden="true"], [inert]');
+  };
+  const says = (text) => axe.commons.text.removeUnicode(text.trim(), { emoji: true, nonBmp: false, punctuations: true }) !== "";
+  const isText = (one) => one.matches('input:not([type="checkbox"], [type="radio"], [type="range"], [type="hidden"]), select, textarea') || [...one.childNodes].some((node) => node.nodeType === Node.TEXT_NODE && says(node.data));
+  const texts = new Map([...document.body.querySelectorAll("*")].filter((one) => isText(one) && isShown(one)).map((one) => [one, looksLike(one)]));
+  const before = new Set(known);
+  const unlike = [...texts.keys()].filter((one) => !before.has(texts.get(one)));
+  if (!unlike.length) return { found: [], passed: [] };
+  const judged = await ask({ include: unlike }, ["color-contrast"], ["violations", "passes"]);
+  const passes = judged.passes.flatMap(({ nodes }) => nodes).filter(({ element, any }) => texts.has(element) && any[0]?.data?.fgColor);
+  return { found: lines(judged), passed: [...new Set(passes.map(({ element }) => texts.get(element)))] };
+}
+
+/** Serious findings of axe-core, one line each; `known` as in [`look`]. */
+async function findings(page, known = null) {
+  // Whole pieces of the page in its answers would cost more than it does.
+  if (!(await page.evaluate(() => "axe" in window))) await page.evaluate(`${axe}\n;axe.configure({ noHtml: true });`);
+  const { found, passed } = await page.evaluate(look, known && [...known]);
+  for (const one of passed) readable.add(one);
+  return found;
 }
 
 /** Parts that are wider than a phone although nothing around them scrolls. */
@@ -270,14 +330,14 @@ export const tooWide = (page) => page.evaluate(() => {
   return `${scrollWidth} px of ${clientWidth}: ${wide.slice(0, 5).map((one) => `${one.tagName}.${one.getAttribute("class")}`).join(" ")}`;
 });
 
-/** The page as it is now, in three themes at two widths: what axe-core finds serious, and what is too wide. */
+/** The page as it is now, in three themes at two widths: what axe-core finds serious, and what is too wide. A theme is colours: only of them it is asked again in the others. */
 export async function looks(page, where) {
   const found = [];
   for (const [width, height] of [[1280, 900], [390, 844]]) {
     await page.setViewportSize({ width, height });
     for (const theme of THEMES) {
       await chooseTheme(page, theme);
-      found.push(...(await findings(page, theme === "dark" ? null : ["color-contrast"])).map((one) => `${where} ${width} ${theme}: ${one}`));
+      found.push(...(await findings(page, theme === "dark" ? null : readable)).map((one) => `${where} ${width} ${theme}: ${one}`));
       const wide = await tooWide(page);
       if (wide) found.push(`${where} ${width} ${theme}: sideways scroll, ${wide}`);
     }

@@ -3,7 +3,7 @@ import { test } from "node:test";
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
-import { TEST, becomes, drawnBy, least, looks, newPage, settled, startRecorded, withBrowser } from "./browser.js";
+import { TEST, becomes, drawnBy, follow, least, looks, newPage, startRecorded, withBrowser } from "./browser.js";
 
 const TIME = /^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d$/;
 const id = "demo/alpha";
@@ -15,7 +15,7 @@ const { run: RUN } = JSON.parse(readFileSync(join(import.meta.dirname, "../../co
 const [bus, browser] = await withBrowser(startRecorded());
 const states = await bus.states();
 await bus.put({ [`${id}/observatory/focus/state`]: { ...states[`${id}/observatory/focus/state`], run: RUN } });
-const page = await newPage(browser, { reducedMotion: "reduce" });
+const page = await newPage(browser);
 await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
 // The recorded night is too short for a light curve.
 await page.route(/\/nights\/\d+\/report$/, async (route) => {
@@ -25,8 +25,7 @@ await page.route(/\/nights\/\d+\/report$/, async (route) => {
 
 /** Opens a page once its charts are there. */
 async function open(address) {
-  await page.goto(bus.url + address);
-  await settled(page);
+  await follow(page, bus.url + address);
   await page.locator(".chart").first().waitFor();
 }
 const heads = (table) => table.locator("thead th").allTextContents();
@@ -224,7 +223,7 @@ test("an answer that takes longer than its period is shown, and meanwhile it is 
 });
 
 test("what fails is asked again, later each time; what is not answered at all is an error that says so", TEST, async () => {
-  const other = await newPage(browser, { reducedMotion: "reduce" });
+  const other = await newPage(browser);
   await other.clock.install();
   // A link that comes back lets nothing wait: this one never comes.
   await other.routeWebSocket(/\/api\/v1\/ws/, () => {});

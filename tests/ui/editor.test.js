@@ -34,7 +34,7 @@ const bar = (number) => page.locator(`[data-testid="draft-bar"][data-row="${numb
 async function open(options = WIDE, { keeps = false } = {}) {
   await page?.close();
   if (!keeps) await fetch(draftPath(), { method: "DELETE", headers: { "If-Match": "*" } });
-  page = await newPage(browser, { reducedMotion: "reduce", ...options });
+  page = await newPage(browser, options);
   problems = problemsOf(page);
   await edit();
 }
@@ -286,7 +286,7 @@ test("what is written survives a reload, stored or not, and a page that is left"
 
 test("of two who edit, the second one is told, and neither text is lost", TEST, async () => {
   await open();
-  const other = await newPage(browser, { ...WIDE });
+  const other = await newPage(browser, WIDE);
   await edit(other);
   const mine = WRITTEN.replace("supernova", "asteroid");
   await area(other).fill(WRITTEN);
@@ -335,11 +335,12 @@ test("a schedule that is put in force meanwhile is told, and is what the draft i
   await page.route(`**/api/v1/telescopes/${ID}/schedule`, (route) => route.fulfill({ contentType: "application/jsonl", headers: { etag: '"other"' }, body: newer }));
   const key = `${ID}/observatory/schedule/state`;
   const state = (await bus.states())[key];
-  await bus.put({ [key]: { ...state, revision: 2, sha256: "other" } });
+  await bus.put({ [key]: { ...state, revision: 7, sha256: "other" } });
   const told = page.getByTestId("other-in-force");
   await told.waitFor();
   await page.getByTestId("changes").locator(".del", { hasText: 'filter: "V"' }).waitFor();
   await page.locator('[data-testid="version-row"]', { hasText: "ana" }).filter({ hasText: "in force" }).waitFor();
+  await becomes(() => page.getByTestId("in-force").textContent(), "version 2", "its number in the list, and not the count of its node");
   assert.equal(await draft(), `${inForce}\n// mine\n`);
   await told.getByRole("button", { name: "I have seen it" }).click();
   await told.waitFor({ state: "detached" });
@@ -350,7 +351,7 @@ test("where no schedule is in force, the draft begins empty, and a template fill
   await page?.close();
   await fetch(draftPath(), { method: "DELETE", headers: { "If-Match": "*" } });
   await bus.reset();
-  page = await newPage(browser, { reducedMotion: "reduce", ...WIDE });
+  page = await newPage(browser, WIDE);
   problems = problemsOf(page);
   await page.route(`**/api/v1/telescopes/${ID}/schedule`, (route) => route.fulfill({ status: 404, json: { detail: "there is none" } }));
   await page.goto(`${bus.url}/t/${ID}/schedule`);
@@ -521,7 +522,7 @@ test("a draft that somebody else has stored stays when another text is activated
 
 test("a schedule that cannot be read is not taken for none", TEST, async () => {
   await page?.close();
-  page = await newPage(browser, { reducedMotion: "reduce", ...WIDE });
+  page = await newPage(browser, WIDE);
   await page.route(`**/api/v1/telescopes/${ID}/schedule`, (route) => route.fulfill({ status: 504, json: { detail: "demo/alpha: it has 3000000 bytes." } }));
   await page.goto(`${bus.url}/t/${ID}/schedule`);
   await settled(page);

@@ -9,7 +9,7 @@ const [alone, browser] = await withBrowser(startAlone());
 let page, server, problems;
 
 beforeEach(async () => {
-  page = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 900 } });
+  page = await newPage(browser, { viewport: { width: 1280, height: 900 } });
   problems = problemsOf(page);
   server = await serveFifty(page);
   await page.goto(alone.url);

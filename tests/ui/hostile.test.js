@@ -2,7 +2,7 @@
 // Nothing of it becomes markup or an address, nothing leads away from the page, and a part that cannot be drawn leaves the others alone.
 import { test } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, becomes, everyAddress, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
+import { TEST, becomes, everyAddress, follow, newPage, problemsOf, startRecorded, withBrowser } from "./browser.js";
 
 const MARKUP = '"><img src=x onerror="document.title=\'taken\';window.taken=1"><script>window.taken=1</script><a href="javascript:window.taken=1">{{7*7}}</a>';
 const LONG = `${"W".repeat(3000)} ${"long words ".repeat(100)}`;
@@ -32,18 +32,33 @@ let page, problems;
 
 async function openPage() {
   await page?.close();
-  page = await newPage(browser, { viewport: { width: 390, height: 844 }, reducedMotion: "reduce" });
+  page = await newPage(browser, { viewport: { width: 390, height: 844 } });
   problems = problemsOf(page);
+  // How many answers the page has asked for and not read yet.
+  await page.addInitScript(() => {
+    const { fetch } = window;
+    window.asked = 0;
+    window.fetch = async (...given) => {
+      window.asked += 1;
+      try {
+        const answer = await fetch(...given);
+        await answer.clone().arrayBuffer();
+        return answer;
+      } finally {
+        window.asked -= 1;
+      }
+    };
+  });
   await page.goto(bus.url);
   await page.locator('[data-testid="tile"][data-telescope="demo/alpha"]').waitFor();
 }
 
-/** Every page as it is now: nothing was taken over, and the page has not left its own addresses. */
+/** Every page as it is now, one after the other in a page that is loaded once: nothing was taken over, and the page has not left its own addresses. */
 async function looksAtEveryPage(context, told) {
   for (const address of await everyAddress(page)) {
     await context.test(`${told} ${address}`, TEST, async () => {
-      await page.goto(bus.url + address);
-      await settled(page);
+      await follow(page, bus.url + address);
+      await page.waitForFunction(() => window.asked === 0);
       // Whatever else comes: a wait that only a page without Close ends by its limit.
       if (address.startsWith("/t/")) await page.locator('[data-testid="close"]').first().waitFor({ state: "attached" });
       const found = await page.evaluate(() => ({
@@ -87,12 +102,13 @@ test("values of other types, and payloads that are no JSON, stop nothing else", 
 
 test("what a page gets over HTTP may have any form: the part says that it cannot be shown, and Close stays", TEST, async (context) => {
   await bus.reset();
-  await openPage();
   const forms = [null, [], "text", { rows: null }, { rows: [null, 1, MARKUP, { found_frame: null }, { found_frame: { id: MARKUP, at_utc: MARKUP, object: { tag: "img" } } }, { correction: { mid_utc: null, east: MARKUP } }, { series: { kind: MARKUP, points: null } }], times: MARKUP, timeline: null, curves: [{ points: MARKUP }] }];
   // Each request has its own form, another one in the second round.
   const asked = new Map();
   const form = (url, round) => { if (!asked.has(url)) asked.set(url, asked.size); return forms[(asked.get(url) + 3 * round) % forms.length]; };
   for (const round of [0, 1]) {
+    // What several pages share is asked for once.
+    await openPage();
     await page.route(/\/api\/v1\/(telescopes|commands|network)/, (route) => (route.request().resourceType() === "fetch"
       ? route.fulfill({ status: 200, contentType: "application/json", body: JSON.stringify(form(new URL(route.request().url()).pathname, round)) }) : route.fallback()));
     await looksAtEveryPage(context, `round ${round}:`);

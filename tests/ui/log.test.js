@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { TEST, addressOf, becomes, newPage, settled, startRecorded, withBrowser } from "./browser.js";
 
 const [bus, browser] = await withBrowser(startRecorded());
-const page = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 900 } });
+const page = await newPage(browser, { viewport: { width: 1280, height: 900 } });
 
 const lines = () => page.locator('[data-testid="lines"] li').evaluateAll((all) => all.map((one) => ({ level: one.dataset.l, text: one.textContent })));
 
@@ -47,7 +47,7 @@ test("the archive is searched by text, level and node, for one telescope and for
 });
 
 test("what was written while the link was cut and is lost leaves a line in its place, which no condition hides", TEST, async () => {
-  const cut = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 900 } });
+  const cut = await newPage(browser, { viewport: { width: 1280, height: 900 } });
   let says;
   await cut.routeWebSocket(/\/api\/v1\/ws/, (socket) => {
     socket.connectToServer().onMessage((text) => socket.send(text));

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { TEST, becomes, newPage, settled, startRecorded, withBrowser } from "./browser.js";
 
 const [bus, browser] = await withBrowser(startRecorded());
-const page = await newPage(browser, { serviceWorkers: "allow", reducedMotion: "reduce" });
+const page = await newPage(browser, { serviceWorkers: "allow" });
 
 const ALPHA = '[data-telescope="demo/alpha"]';
 

@@ -12,7 +12,7 @@ beforeEach(async () => {
   await bus.reset();
   await page?.close();
   [shift, change] = [0, (_) => ({})];
-  page = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 900 } });
+  page = await newPage(browser, { viewport: { width: 1280, height: 900 } });
   // The server's clock may be later, and its summaries other ones.
   await page.routeWebSocket(/\/api\/v1\/ws$/, (socket) => {
     const server = socket.connectToServer();

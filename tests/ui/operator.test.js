@@ -2,7 +2,7 @@
 import { test, beforeEach } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, becomes, boxOf, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
+import { TEST, becomes, boxOf, follow, newPage, problemsOf, startRecorded, withBrowser } from "./browser.js";
 
 const WIDE = { width: 1280, height: 900 };
 const PHONE = { width: 390, height: 844 };
@@ -12,18 +12,24 @@ const [bus, browser] = await withBrowser(startRecorded());
 const recorded = await bus.states();
 let page, problems;
 
+/** Another page, once `prepare(page)` has seen it. */
+async function begin(prepare = async (_) => {}) {
+  await page?.close();
+  page = await newPage(browser);
+  problems = problemsOf(page);
+  await prepare(page);
+}
+await begin();
+
 beforeEach(async () => {
   await bus.reset();
   await network(bus);
+  problems.length = 0;
 }, TEST);
 
-async function open(address, viewport, before = async (_) => {}) {
-  await page?.close();
-  page = await newPage(browser, { reducedMotion: "reduce", viewport });
-  problems = problemsOf(page);
-  await before(page);
-  await page.goto(bus.url + address);
-  await settled(page);
+async function open(address, viewport) {
+  await page.setViewportSize(viewport);
+  await follow(page, bus.url + address);
 }
 
 const tile = (id) => page.locator(`[data-testid="tile"][data-telescope="${id}"]`);
@@ -172,14 +178,16 @@ test("under a sky that runs faster, ages say that they are of real time, and the
       socket.send(JSON.stringify(told.data?.speed ? { ...told, data: { ...told.data, speed: 60 } } : told));
     });
   });
-  await open("/", WIDE, fast);
+  await begin(fast);
+  await open("/", WIDE);
   await tile("demo/alpha").locator(".tile-f", { hasText: /\d s ago, real time/ }).waitFor();
   await page.locator("th", { hasText: /^Age, real time$/ }).waitFor();
-  await open("/t/demo/alpha", WIDE, fast);
+  await open("/t/demo/alpha", WIDE);
   await page.locator('[data-testid="command"]', { hasText: /ends in \d+ s, real time/ }).waitFor();
   for (const card of ["devices", "safety"]) await page.locator(`[data-testid="${card}"] th`, { hasText: /^Age, real time$/ }).waitFor();
   // Begun at 02:22:34 and exposed for 120 s, seen at 02:28 and later: by the sky's clock, though its frame has just been announced.
   await page.locator('[data-testid="image-age"]', { hasText: /^02:22:34, ([3-9]|\d\d) min \d+ s ago$|^02:22:34, \d+ h/ }).waitFor();
+  await begin();
   await open("/", WIDE);
   await tile("demo/alpha").locator(".tile-f", { hasText: /^\s*\d s ago/ }).waitFor();
   assert.equal(await page.locator("main", { hasText: "real time" }).count(), 0, "nothing of it where the sky's time is everybody's");

@@ -3,11 +3,11 @@
 import { test } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, becomes, chooseTheme, everyAddress, looks, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
+import { TEST, becomes, chooseTheme, everyAddress, follow, looks, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
 
 const [bus, browser] = await withBrowser(startRecorded());
 await network(bus);
-const page = await newPage(browser, { reducedMotion: "reduce" });
+const page = await newPage(browser);
 const problems = problemsOf(page);
 await page.goto(bus.url);
 await page.locator('[data-telescope="demo/alpha"][data-quality="fresh"]').waitFor();
@@ -31,6 +31,18 @@ test("every page opens in three themes at two widths, fits, and has no serious f
   assert.deepEqual(problems, []);
 });
 
+test("a text that cannot be read in one theme is found there, beside others that can", TEST, async () => {
+  await follow(page, `${bus.url}/t/demo/alpha`);
+  await page.evaluate(() => {
+    const text = document.createElement("p");
+    text.textContent = "as pale as paper";
+    text.style.color = "#c8ccd0";
+    document.querySelector("main").append(text);
+  });
+  const found = await looks(page, "now");
+  assert.deepEqual(found.map((one) => one.split(">")[0]), [1280, 390].map((width) => `now ${width} light: color-contrast: <p style="color: rgb(200, 204, 208);"`));
+});
+
 test("a theme is kept, and the key t goes through all", TEST, async () => {
   await page.goto(`${bus.url}/t/demo/alpha`);
   await settled(page);
@@ -47,8 +59,7 @@ test("a theme is kept, and the key t goes through all", TEST, async () => {
 
 test("in the night theme no part of the page has green or blue", TEST, async () => {
   for (const address of ["/", "/t/demo/alpha", "/t/demo/alpha/weather", "/t/demo/alpha/guiding"]) {
-    await page.goto(bus.url + address);
-    await settled(page);
+    await follow(page, bus.url + address);
     await choose("night");
     const shot = await page.screenshot();
     const other = await page.evaluate(async (data) => {

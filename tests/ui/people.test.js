@@ -59,7 +59,7 @@ test("the first user is an engineer, adds another who signs in, and changes and 
   const OTHER = "quite another five words";
   const site = await startAlone();
   try {
-    const page = await newPage(browser, { viewport: { width: 390, height: 844 }, reducedMotion: "reduce" });
+    const page = await newPage(browser, { viewport: { width: 390, height: 844 } });
     const hold = async () => {
       const button = page.locator("dialog .hold");
       await button.dispatchEvent("pointerdown");

@@ -6,7 +6,7 @@ import { TEST, becomes, newPage, settled, startRecorded, withBrowser } from "./b
 const MOST = 5;
 
 const [bus, browser] = await withBrowser(startRecorded());
-const page = await newPage(browser, { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true, reducedMotion: "reduce" });
+const page = await newPage(browser, { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true });
 let touches;
 
 beforeEach(async () => {

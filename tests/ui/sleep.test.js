@@ -20,7 +20,7 @@ after(() => {
 });
 
 const [bus, browser] = await withBrowser(startRecorded({ web: `[[web.webcam]]\nname = "Dome"\nurl = "http://127.0.0.1:${/** @type {any} */ (cameras.address()).port}/dome"\nperiod_s = 600\n` }));
-const page = await newPage(browser, { reducedMotion: "reduce" });
+const page = await newPage(browser);
 // Of a sleep the page sees that the wall clock jumps, and that it is looked at again.
 await page.addInitScript(() => {
   const { now } = Date;

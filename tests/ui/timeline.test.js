@@ -12,7 +12,7 @@ let page, problems;
 
 async function open(address, options = {}) {
   await page?.close();
-  page = await newPage(browser, { reducedMotion: "reduce", viewport: { width: 1280, height: 1000 }, ...options });
+  page = await newPage(browser, { viewport: { width: 1280, height: 1000 }, ...options });
   problems = problemsOf(page);
   await page.goto(bus.url + address);
   await settled(page);

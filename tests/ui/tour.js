@@ -52,7 +52,7 @@ const browser = await launch();
 try {
   await network(bus);
   mkdirSync(join(docs, "screenshots"), { recursive: true });
-  const page = await newPage(browser, { reducedMotion: "reduce" });
+  const page = await newPage(browser);
   if (all) await everything(page);
   else for (const [file, address, size, theme] of PICTURES) {
     await page.setViewportSize(size);

@@ -24,7 +24,7 @@ const [bus, browser] = await withBrowser(startRecorded({ web: [
   webcam("Broken", "broken", 'telescope = "beta"'), webcam("Ridge", "ridge", 'site = "ridge"'), webcam("Slow", "slow", 'site = "ridge"\ntelescope = "gamma"', 600),
 ].join("") }));
 await network(bus);
-const page = await newPage(browser, { reducedMotion: "reduce" });
+const page = await newPage(browser);
 const all = problemsOf(page);
 const problems = () => all.filter((one) => !one.includes(`asks ${origin}/`));
 await page.goto(bus.url);
@@ -98,6 +98,7 @@ test("it is asked for only while somebody can see it", TEST, async () => {
 });
 
 test("when the camera fails, the last good picture stays, as old, and is live again afterwards", TEST, async () => {
+  await page.clock.install();
   await open("/t/demo/alpha");
   await comesIntoView("Dome");
   const dome = cam("Dome");
@@ -108,6 +109,7 @@ test("when the camera fails, the last good picture stays, as old, and is live ag
   assert.match(await dome.textContent(), /stale|old/);
   assert.match(await dome.textContent(), /The last try failed: its server gives no picture/);
   assert.ok(await dome.locator("img").evaluate((image) => image.naturalWidth > 0), "what is shown is the last good picture, not a broken one");
+  await page.clock.fastForward(15_000);
   await page.locator('[data-webcam*="Dome"][data-quality="lost"]').waitFor();
   gives.dome = true;
   await page.locator('[data-webcam*="Dome"][data-quality="fresh"][data-state="shown"]').waitFor();

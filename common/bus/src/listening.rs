@@ -3,7 +3,7 @@
 //! The roles of one `observatory.toml` read the same `[bus] listen`, and only one of them can have it. The others
 //! listen on a free port of the same interface and meet the one that has it, which introduces them to everybody. They
 //! go on asking for the address: a program that is configured to connect to it must find a node there when that one has
-//! ended.
+//! ended. So do the nodes of a `starmesh up`, which has the addresses as long as it runs.
 
 use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, ToSocketAddrs as _, UdpSocket};
@@ -40,7 +40,10 @@ pub(crate) fn share(config: &config::Bus) -> config::Bus {
             Err(_) if held.iter().any(is_held) => {}
             Err(error) if error.kind() == ErrorKind::AddrInUse => {
                 tracing::info!(endpoint, "another program listens here already; it is met, and a free port is used");
-                shared.listen.push(format!("{protocol}/{}", SocketAddr::new(address.ip(), 0)));
+                let free = with_free_port(endpoint);
+                if !shared.listen.contains(&free) {
+                    shared.listen.push(free);
+                }
                 shared.listen.push(when_it_can_be_had(endpoint));
                 shared.connect.push(format!("{protocol}/{}", reachable(address)));
             }
@@ -75,6 +78,13 @@ fn instead(endpoint: &str, protocol: &str, why: &str) -> [String; 2] {
         "this node cannot listen here, and nobody can meet it there; it goes on without, and tries again every few seconds"
     );
     [format!("{protocol}/127.0.0.1:0"), when_it_can_be_had(endpoint)]
+}
+
+/// The same interface with a port that the system chooses.
+fn with_free_port(endpoint: &str) -> String {
+    let (address, settings) = endpoint.split_at(endpoint.find(['?', '#']).unwrap_or(endpoint.len()));
+    let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+    format!("{host}:0{settings}")
 }
 
 /// The endpoint, with the options that make zenoh try it again and again in parallel with its other work.
@@ -159,8 +169,28 @@ mod tests {
     }
 
     #[test]
+    fn several_addresses_that_are_taken_are_met_and_asked_for_and_one_free_port_of_their_interface_is_enough() {
+        // Those of a `starmesh up`, as its nodes see them.
+        let holders = ["127.0.0.1:0"; 2].map(|free| TcpListener::bind(free).unwrap());
+        let [file, own] = holders.each_ref().map(|holder| format!("tcp/{}", holder.local_addr().unwrap()));
+        let free = "tcp/127.0.0.1:0".to_owned();
+        let asked_for = vec![free, when_it_can_be_had(&file), when_it_can_be_had(&own)];
+        assert_eq!(listened(&[&file, &own]), (asked_for, vec![file, own]));
+    }
+
+    #[test]
+    fn a_free_port_is_one_of_the_same_interface() {
+        for (endpoint, free) in [
+            ("tcp/10.0.0.5:7447", "tcp/10.0.0.5:0"),
+            ("tcp/[::1]:7447", "tcp/[::1]:0"),
+            ("tcp/0.0.0.0:7447#iface=eth0", "tcp/0.0.0.0:0#iface=eth0"),
+        ] {
+            assert_eq!(with_free_port(endpoint), free);
+        }
+    }
+
+    #[test]
     fn what_this_host_has_not_is_gone_without_also_on_a_free_port() {
-        // The nodes of `up` get the interface of the file with a port of their own.
         for endpoint in ["tcp/192.0.2.1:0", "tcp/no-such-host.invalid:7447", "tcp/*:7447", "udp/192.0.2.1:0"] {
             let here = format!("{}/127.0.0.1:0", &endpoint[..3]);
             assert_eq!(listened(&[endpoint]), (vec![here, when_it_can_be_had(endpoint)], Vec::new()));

@@ -21,12 +21,19 @@ async fn open(connect: Vec<String>) -> Bus {
 async fn pair() -> (Bus, Bus) {
     let first = open(Vec::new()).await;
     let second = open(first.locators().await).await;
-    let began = Instant::now();
-    while first.peers().await == 0 || second.peers().await == 0 {
-        assert!(began.elapsed() < LIMIT, "two sessions on one loopback did not meet within {LIMIT:?}");
-        tokio::time::sleep(Duration::from_millis(20)).await;
+    for one in [&first, &second] {
+        until_it_meets(1, one).await;
     }
     (first, second)
+}
+
+async fn until_it_meets(peers: usize, bus: &Bus) {
+    let began = Instant::now();
+    while bus.peers().await < peers {
+        let met = bus.peers().await;
+        assert!(began.elapsed() < LIMIT, "{met} of {peers} sessions on one loopback were met within {LIMIT:?}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
 }
 
 fn address() -> Address {
@@ -237,14 +244,27 @@ async fn who_visits_two_networks_meets_all_of_both_and_joins_them_not() {
     let connect = [first.locators().await, third.locators().await].concat();
     let config = config::Bus { listen: Vec::new(), connect, multicast: false };
     let visitor = Bus::visit(&config, Clock::machine_clock()).await.unwrap();
-    let began = Instant::now();
-    while visitor.peers().await < 4 {
-        assert!(began.elapsed() < LIMIT, "it does not meet those that it has no address of: {}", visitor.peers().await);
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
+    // Also those that it has no address of.
+    until_it_meets(4, &visitor).await;
     // Who was introduced to somebody meets him at once; on a slow machine this shows less.
     tokio::time::sleep(Duration::from_secs(2)).await;
     for one in [&first, &second, &third, &fourth] {
         assert_eq!(one.peers().await, 2, "its neighbour and the visitor");
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_of_several_takes_the_address_of_one_that_has_ended_and_a_newcomer_meets_all_of_them_there() {
+    let holder = open(Vec::new()).await;
+    let address = holder.locators().await;
+    let config = config::Bus { listen: address.clone(), connect: Vec::new(), multicast: false };
+    let first = Bus::open(&config, Clock::machine_clock()).await.unwrap();
+    let second = Bus::open(&config, Clock::machine_clock()).await.unwrap();
+    for one in [&first, &second] {
+        until_it_meets(2, one).await;
+    }
+    holder.close().await;
+    let config = config::Bus { listen: Vec::new(), connect: address, multicast: false };
+    let newcomer = Bus::visit(&config, Clock::machine_clock()).await.unwrap();
+    until_it_meets(2, &newcomer).await;
 }

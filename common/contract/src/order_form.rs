@@ -1,6 +1,8 @@
 //! What a person may order, as a form: words, parameters and the right it needs. The command line, the API and its documents are
 //! made from it, so an order is the same everywhere.
 
+mod parameter;
+
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -8,7 +10,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::{OrderKind, OrderedRow};
+use self::parameter::Given;
+pub use self::parameter::{OrderParameter, ParameterValue};
+use crate::OrderKind;
 
 /// The longest reason, characters: a line of the log has to hold it.
 pub const LONGEST_REASON: usize = 500;
@@ -66,79 +70,6 @@ pub struct OrderForm {
     make: fn(&Given) -> OrderKind,
 }
 
-/// One parameter of an order.
-#[derive(Debug, Clone, Copy)]
-pub struct OrderParameter {
-    /// Its name, with its unit.
-    pub name: &'static str,
-    /// What it is.
-    pub meaning: &'static str,
-    /// What it may be.
-    pub value: ParameterValue,
-}
-
-/// What a parameter may be.
-#[derive(Debug, Clone, Copy)]
-pub enum ParameterValue {
-    /// A text, which must be given.
-    Text,
-    /// A text that may be left out.
-    OptionalText,
-    /// A whole document of many lines, which must be given.
-    Document,
-    /// A whole number in a range, which must be given.
-    Whole {
-        /// The smallest.
-        min: u32,
-        /// The largest.
-        max: u32,
-    },
-    /// A number in a range.
-    Number {
-        /// The smallest.
-        min: f64,
-        /// The largest.
-        max: f64,
-        /// What it is where it is not given; absent where the device's own value counts.
-        default: Option<f64>,
-    },
-}
-
-impl ParameterValue {
-    /// Must it be given?
-    pub const fn is_required(self) -> bool {
-        matches!(self, Self::Text | Self::Document | Self::Whole { .. })
-    }
-}
-
-/// The parameters of one order that were given, each of its type.
-struct Given(BTreeMap<&'static str, Value>);
-
-impl Given {
-    fn text(&self, name: &str) -> String {
-        self.0.get(name).and_then(Value::as_str).unwrap_or_default().to_owned()
-    }
-
-    fn optional(&self, name: &str) -> Option<String> {
-        self.0.get(name).and_then(Value::as_str).map(str::to_owned)
-    }
-
-    fn number(&self, name: &str) -> Option<f64> {
-        self.0.get(name).and_then(Value::as_f64)
-    }
-
-    /// The row that is named as people count them, from 1.
-    fn row(&self) -> OrderedRow {
-        let number = self.0.get("number").and_then(Value::as_u64).and_then(|number| u32::try_from(number).ok());
-        OrderedRow { row: number.unwrap_or_default().saturating_sub(1), of: self.optional("of") }
-    }
-
-    /// A time given in minutes, s.
-    fn minutes_s(&self, name: &str) -> f64 {
-        self.number(name).unwrap_or_default() * 60.0
-    }
-}
-
 const ALERT: OrderParameter = OrderParameter {
     name: "alert",
     meaning: "Id of the alert, such as dome-not-closed/dome_1.",
@@ -179,7 +110,12 @@ pub const ORDERS: &[OrderForm] = &[
             OrderKind::Close
         })
     },
-    plain("start", "Work through the schedule.", Right::Operator, |_| OrderKind::Robotic(true)),
+    plain(
+        "start",
+        "Work through the schedule. While `stay-closed` stands, nothing opens before `open-again`.",
+        Right::Operator,
+        |_| OrderKind::Robotic(true),
+    ),
     OrderForm {
         closes: true,
         ..plain("stop", "Stop working through the schedule, after closing.", Right::Operator, |_| {
@@ -402,66 +338,23 @@ impl OrderForm {
             return Err(wrong(name, format!("{} has no such parameter; {expected}", self.word)));
         }
         let mut filled = BTreeMap::new();
-        for OrderParameter { name, meaning, value } in self.parameters {
-            let found = given.get(*name).filter(|value| !value.is_null()).cloned();
-            let value = match (value, found) {
-                (ParameterValue::Text | ParameterValue::Document, Some(Value::String(text)))
-                    if !text.trim().is_empty() =>
-                {
-                    Some(Value::String(text))
-                }
-                (ParameterValue::OptionalText, Some(Value::String(text))) => Some(Value::String(text)),
-                (ParameterValue::OptionalText, None) => None,
-                (ParameterValue::Text | ParameterValue::Document, None | Some(Value::String(_)))
-                | (ParameterValue::Whole { .. }, None) => {
-                    return Err(wrong(name, format!("it is missing. {meaning}")));
-                }
-                (ParameterValue::Whole { min, max }, Some(found)) => {
-                    let number = found.as_u64().filter(|number| (u64::from(*min)..=u64::from(*max)).contains(number));
-                    if number.is_none() {
-                        return Err(wrong(name, format!("expected a whole number from {min} to {max}, got {found}")));
-                    }
-                    Some(found)
-                }
-                (ParameterValue::Number { min, max, .. }, Some(Value::Number(number)))
-                    if number.as_f64().is_some_and(|number| (*min..=*max).contains(&number)) =>
-                {
-                    Some(Value::Number(number))
-                }
-                (ParameterValue::Number { default, .. }, None) => default.map(|default| json!(default)),
-                (ParameterValue::Number { min, max, .. }, Some(found)) => {
-                    return Err(wrong(name, format!("expected a number from {min} to {max}, got {found}")));
-                }
-                (_, Some(found)) => return Err(wrong(name, format!("expected a text, got {found}"))),
-            };
+        for parameter in self.parameters {
+            let found = given.get(parameter.name).filter(|value| !value.is_null()).cloned();
+            let value = parameter.take(found).map_err(|problem| wrong(parameter.name, problem))?;
             if let Some(value) = value {
-                filled.insert(*name, value);
+                filled.insert(parameter.name, value);
             }
         }
         check_reason(reason)?;
         if self.needs_reason && reason.trim().is_empty() {
             return Err(BadOrder::Reason { word: self.word });
         }
-        Ok((self.make)(&Given(filled)))
+        Ok((self.make)(&Given::new(filled)))
     }
 
     /// The JSON Schema of its parameters.
     pub fn schema(&self) -> Value {
-        let of = |parameter: &OrderParameter| {
-            let mut schema = match parameter.value {
-                ParameterValue::Text | ParameterValue::Document => json!({ "type": "string", "minLength": 1 }),
-                ParameterValue::OptionalText => json!({ "type": "string" }),
-                ParameterValue::Whole { min, max } => json!({ "type": "integer", "minimum": min, "maximum": max }),
-                ParameterValue::Number { min, max, default: Some(default) } => {
-                    json!({ "type": "number", "minimum": min, "maximum": max, "default": default })
-                }
-                ParameterValue::Number { min, max, default: None } => {
-                    json!({ "type": "number", "minimum": min, "maximum": max })
-                }
-            };
-            schema["description"] = json!(parameter.meaning);
-            (parameter.name.to_owned(), schema)
-        };
+        let of = |parameter: &OrderParameter| (parameter.name.to_owned(), parameter.schema());
         let required = self.parameters.iter().filter(|parameter| parameter.value.is_required());
         json!({
             "type": "object",
@@ -475,6 +368,7 @@ impl OrderForm {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::OrderedRow;
 
     fn fill(word: &str, given: Value, reason: &str) -> Result<OrderKind, String> {
         let given = given.as_object().unwrap().clone();

@@ -7,7 +7,9 @@
 use crate::archive;
 use crate::archived_frame;
 use crate::audit::{self, PublishedRecord};
-use crate::device::{DeviceDescription, DeviceKind, camera, dome, observing_conditions, of_kind, record, switch};
+use crate::device::{
+    DeviceDescription, DeviceKind, camera, dome, observing_conditions, of_kind, record, safety_monitor, switch,
+};
 use crate::keys::Keys;
 use crate::node::{DiaryLine, NodeState};
 use crate::observatory as state;
@@ -39,8 +41,9 @@ bus! {
         Guard "guard" { Dome (publishes dome::Guard) } {
             Rate::Every(1), Carried::Urgent, "device node of the dome" => "observatory, web"
         }
-        /// The past states of a device that safety limits apply to: evidence for an observatory node after its restart.
+        /// The past states of a device that the verdict rests on: evidence for an observatory node that did not receive them.
         Record "record" {
+            SafetyMonitor (asks record::RecordQuestion => record::StateRecord<safety_monitor::Fields>)
             ObservingConditions (asks record::RecordQuestion => record::StateRecord<observing_conditions::Fields>)
             Switch (asks record::RecordQuestion => record::StateRecord<switch::Fields>)
         } {

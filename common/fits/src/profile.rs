@@ -29,7 +29,7 @@ use crate::card::Value;
 pub use cards::{CardEntry, CardList};
 pub use check::{Violation, check, warnings};
 pub use convert::{convert, file_name};
-pub use deliver::{CopyPlan, Delivered, DeliveryError, check_given, deliver_copy, plan_copy};
+pub use deliver::{Checked, CopyPlan, Delivered, DeliveryError, check_copy, check_given, deliver_copy, plan_copy};
 pub use page::page;
 
 /// Which profile.

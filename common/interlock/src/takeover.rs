@@ -17,12 +17,14 @@ pub fn are_last_orders(arrived: MachineTime, now: MachineTime) -> bool {
     now.since(arrived) <= LAST_ORDERS
 }
 
+/// How the robotic switch was ordered last, and when, where that holds.
+pub fn last_order(ordered: Option<(Utc, bool)>, now: Utc) -> Option<(Utc, bool)> {
+    ordered.filter(|(at, _)| now.seconds_since(*at).abs() < ORDER_HOLDS_S)
+}
+
 /// The robotic switch as it was last ordered, else as configured.
 pub fn ordered_switch(ordered: Option<(Utc, bool)>, configured: bool, now: Utc) -> bool {
-    match ordered {
-        Some((at, on)) if now.seconds_since(at).abs() < ORDER_HOLDS_S => on,
-        _ => configured,
-    }
+    last_order(ordered, now).map_or(configured, |(_, on)| on)
 }
 
 /// The robotic switch of a new commander: as the one before published it last, else `own`. The journal of a commander

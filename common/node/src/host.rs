@@ -6,3 +6,9 @@ pub fn host_name() -> String {
     let name = of_the_shell.or_else(|_| std::fs::read_to_string("/proc/sys/kernel/hostname")).unwrap_or_default();
     name.trim().to_owned()
 }
+
+/// Which start of this host's kernel this is, so that times of the boot-time clock in a file are known to be of the same
+/// clock; empty where the system has no such id.
+pub fn kernel_boot_id() -> String {
+    std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default().trim().to_owned()
+}

@@ -1,5 +1,6 @@
 //! The permissions of the files that a node writes: files of the data folder belong to its user alone; images are for
-//! everybody whom the system's own settings (umask) let read them.
+//! everybody whom the system's own settings (umask) let read them; a file that takes the place of another one has the
+//! permissions of that.
 
 use std::fs;
 use std::io::{self, Write as _};
@@ -30,13 +31,13 @@ pub fn make_folder(folder: &Path) -> io::Result<()> {
     builder.create(folder)
 }
 
-/// Writes a file for this user alone: afterwards the old file or the new one is there, whole, whatever happens. Programs that
-/// share a folder do not write the same file. Blocks.
+/// Writes a file: afterwards the old one or the new one is there, whole, whatever happens. It is for this user alone, or
+/// has the permissions of the old one. Programs that share a folder do not write the same file. Blocks.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut part = path.to_owned().into_os_string();
     part.push(".part");
     let part = PathBuf::from(part);
-    if let Err(error) = write_synced(&part, bytes).and_then(|()| fs::rename(&part, path)) {
+    if let Err(error) = write_synced(&part, bytes, path).and_then(|()| fs::rename(&part, path)) {
         // Half a file would only take the room that is missing.
         let _ = fs::remove_file(&part);
         return Err(error);
@@ -51,14 +52,30 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     Ok(())
 }
 
-fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
+fn write_synced(part: &Path, bytes: &[u8], old: &Path) -> io::Result<()> {
     let mut options = fs::OpenOptions::new();
     options.write(true).create(true).truncate(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    let mut file = options.open(path)?;
+    let mut file = options.open(part)?;
     file.write_all(bytes)?;
+    keep_permissions(old, &file);
     file.sync_all()
+}
+
+/// Gives a new file the permissions of the one whose place it takes, and its owner and group as far as the system lets
+/// this process; nothing where there is none. A file system that knows no permissions has none to keep.
+pub fn keep_permissions(old: &Path, new: &fs::File) {
+    #[cfg(unix)]
+    if let (Ok(found), Ok(made)) = (fs::metadata(old), new.metadata()) {
+        use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, fchown};
+        if (found.uid(), found.gid()) != (made.uid(), made.gid()) {
+            let _ = fchown(new, Some(found.uid()), Some(found.gid())).or_else(|_| fchown(new, None, Some(found.gid())));
+        }
+        let _ = new.set_permissions(fs::Permissions::from_mode(found.permissions().mode() & 0o777));
+    }
+    #[cfg(not(unix))]
+    let _ = (old, new);
 }
 
 /// Makes a folder that others may read, as far as the system's settings let them.
@@ -177,6 +194,18 @@ mod tests {
         fs::create_dir(folder.path().join("draft.json.part")).unwrap();
         assert!(write_whole(&file, b"two").is_err());
         assert_eq!(fs::read_to_string(&file).unwrap(), "one");
+    }
+
+    #[test]
+    fn a_file_that_takes_the_place_of_another_has_its_permissions() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("schedule.jsonl");
+        for wanted in [0o644, 0o640, 0o664, 0o600] {
+            fs::write(&file, "by hand").unwrap();
+            fs::set_permissions(&file, fs::Permissions::from_mode(wanted)).unwrap();
+            write_whole(&file, b"by order").unwrap();
+            assert_eq!((fs::read_to_string(&file).unwrap().as_str(), mode(&file)), ("by order", wanted));
+        }
     }
 
     #[test]

@@ -7,10 +7,10 @@ use bus::{Catch, MachineTime};
 use contract::node::NodeState;
 use contract::observatory::AlertKind;
 use contract::{Key, NodeTopic, Role, Topic};
-use node::Node;
+use node::{Node, NodeAlerts};
 
-/// A node publishes its state every 5 s; the on-delay of the alert is added to this.
-pub(crate) const LOST: Duration = Duration::from_secs(15);
+/// A node publishes its state every 5 s. The silence is itself the on-delay of the alert, and nothing is added to it.
+pub(crate) const LOST: Duration = Duration::from_secs(AlertKind::NodeSilent.entry().on_delay_s as u64);
 /// Nodes of a telescope and of its site's shared devices; more are the invention of a faulty program.
 const MOST_NODES: usize = 128;
 
@@ -34,9 +34,7 @@ pub async fn keep_noticing_silence(node: Node, raises: impl Fn() -> bool) -> any
             nodes.take(instance, &words, &state.sample.body, state.arrived);
         }
         if raises() {
-            for (instance, cause) in nodes.silent(clock.machine()) {
-                node.alerts.raise(AlertKind::NodeSilent, instance, cause);
-            }
+            nodes.raise_silent(clock.machine(), &node.alerts);
         }
     }
 }
@@ -74,6 +72,13 @@ impl OtherNodes {
         } else if self.0.len() < MOST_NODES || self.0.contains_key(&instance) {
             let cause = format!("{words} on host \"{}\" has fallen silent", state.host);
             self.0.insert(instance, (cause, arrived));
+        }
+    }
+
+    /// Raises an alert for each that has been silent for too long.
+    fn raise_silent(&self, now: MachineTime, alerts: &NodeAlerts) {
+        for (instance, cause) in self.silent(now) {
+            alerts.raise_at_once(AlertKind::NodeSilent, instance, cause);
         }
     }
 
@@ -128,6 +133,17 @@ mod tests {
             assert_eq!(nodes.silent(at(121)).collect::<Vec<_>>(), wanted, "{last:?}");
             nodes.take(instance.to_owned(), words, &state(None), at(130));
             assert_eq!(nodes.silent(at(146)).count(), 1, "{last:?}: it runs again, and falls silent then");
+        }
+    }
+
+    #[test]
+    fn the_alert_about_a_silent_node_stands_after_the_time_that_the_catalogue_says_and_no_later() {
+        let (mut nodes, alerts) = (OtherNodes::default(), NodeAlerts::new(bus::Clock::machine_clock()));
+        nodes.take("device/main".to_owned(), "the device node main", &state(None), at(100));
+        let delay_s = u64::from(AlertKind::NodeSilent.entry().on_delay_s);
+        for (now_s, stands) in [(100 + delay_s, 0), (101 + delay_s, 1)] {
+            nodes.raise_silent(at(now_s), &alerts);
+            assert_eq!(alerts.watch().borrow().alerts.len(), stands, "{now_s}");
         }
     }
 

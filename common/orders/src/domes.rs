@@ -73,3 +73,9 @@ pub async fn close(bus: &Bus, domes: &[Device], order: &Order) -> bool {
     }
     asked.join_all().await.into_iter().any(|accepted| accepted)
 }
+
+/// For people.
+pub(crate) fn names(domes: &[Device]) -> String {
+    let names: Vec<String> = domes.iter().map(ToString::to_string).collect();
+    names.join(", ")
+}

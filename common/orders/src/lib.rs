@@ -5,25 +5,26 @@
 //! verify it. An order that does more than to close is refused where it comes too late ([`RecentStates`]).
 
 pub mod domes;
+mod follower;
 mod recent_states;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::convert::Infallible;
+use std::future::{Ready, pending, ready};
+use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-use bus::{AskError, Bus, BusError, Catch, MachineTime, Subscriber};
-use contract::command::Seen;
-use contract::device::dome::Guard;
-use contract::observatory::{NightState, Posture};
-use contract::{Address, CommandId, Device, Key, Order, Part, Refusal, Reply, Topic};
+use bus::{AskError, Bus, Catch};
+use contract::command::{Seen, operator};
+use contract::observatory::{NightState, OrderTaken};
+use contract::{Address, Device, Key, Order, Part, Refusal, Reply};
 use tokio::sync::watch;
 use units::Utc;
 
+pub use self::follower::{Follower, NotClosed};
 pub use self::recent_states::RecentStates;
 
 /// The time for the answer to an order; after it the outcome is unknown.
 pub const ANSWER_WITHIN: Duration = Duration::from_secs(3);
-/// An observatory node publishes each second which order it took last.
-const SHOWN_WITHIN: Duration = Duration::from_secs(10);
 
 /// Why an order was not accepted.
 #[derive(Debug, thiserror::Error)]
@@ -89,8 +90,43 @@ async fn newest_state(bus: &Bus, address: &Address) -> Result<Seen, NotAccepted>
 /// An order that closes is given to an observatory node so often before its silence counts: a session that has just
 /// opened does not know all its peers.
 const TRIES: u32 = 3;
+/// So long it is given where no dome takes it either.
+const CLOSE_WITHIN: Duration = Duration::from_secs(3);
 /// The pause before an order that nobody answered is given again.
 const PAUSE: Duration = Duration::from_secs(1);
+
+/// Gives an order, and again while nobody answers; for the last time when the time is over. `silent` is called at each
+/// silence, and ends it with what it breaks with, which is returned.
+///
+/// # Errors
+/// Where it is refused, or nobody has answered in time.
+pub async fn give_until_answered<B, W: Future<Output = ControlFlow<B>>>(
+    bus: &Bus,
+    address: &Address,
+    order: &Order,
+    within: Duration,
+    mut silent: impl FnMut() -> W,
+) -> Result<Option<B>, NotAccepted> {
+    let began = Instant::now();
+    loop {
+        let is_last = began.elapsed() >= within;
+        match give(bus, address, order).await {
+            Ok(()) => return Ok(None),
+            Err(error) if !error.is_silence() => return Err(error),
+            Err(error) => match silent().await {
+                ControlFlow::Break(with) => return Ok(Some(with)),
+                ControlFlow::Continue(()) if is_last => return Err(error),
+                ControlFlow::Continue(()) => {}
+            },
+        }
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
+/// What [`give_until_answered`] does at a silence where there is nothing to do.
+pub fn ask_again() -> Ready<ControlFlow<Infallible>> {
+    ready(ControlFlow::Continue(()))
+}
 
 /// The node that took an order that closes, or the nodes.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -107,7 +143,7 @@ impl TakenBy {
         match self {
             Self::Observatory => "verified closed".to_owned(),
             Self::Domes(domes) => {
-                format!("verified closed by the guard of {}, at the command to its device node", names(domes))
+                format!("verified closed by the guard of {}, at the command to its device node", domes::names(domes))
             }
         }
     }
@@ -122,11 +158,6 @@ impl TakenBy {
             ),
         }
     }
-}
-
-fn names(domes: &[Device]) -> String {
-    let names: Vec<String> = domes.iter().map(ToString::to_string).collect();
-    names.join(", ")
 }
 
 /// Why an order that closes did not come to its end.
@@ -156,37 +187,36 @@ pub async fn close(
     mut taken: impl FnMut(&TakenBy),
 ) -> Result<TakenBy, NotDone> {
     let (address, given_utc) = (&follower.address, bus.clock().utc());
-    let (tries, mut tried) = watch::channel(0);
-    let over = loop {
-        match give(bus, address, order).await {
-            Ok(()) => {
-                taken(&TakenBy::Observatory);
-                return follower.closed_by_observatory(order, given_utc, within).await;
-            }
-            Err(error) if !error.is_silence() => return Err(error.into()),
-            Err(error) => {
-                tries.send_modify(|tries| *tries += 1);
-                let over = domes::over(bus, address).await;
-                if !over.is_empty() && domes::close(bus, &over, order).await {
-                    break over;
-                }
-                if *tries.borrow() >= TRIES {
-                    return Err(error.into());
-                }
-            }
+    let (silences, mut counted) = watch::channel(0);
+    let count = || silences.send_modify(|silences| *silences += 1);
+    let to_domes = || {
+        count();
+        async move {
+            let over = domes::over(bus, address).await;
+            let is_taken = !over.is_empty() && domes::close(bus, &over, order).await;
+            if is_taken { ControlFlow::Break(over) } else { ControlFlow::Continue(()) }
         }
-        tokio::time::sleep(PAUSE).await;
+    };
+    let Some(over) = give_until_answered(bus, address, order, CLOSE_WITHIN, to_domes).await? else {
+        taken(&TakenBy::Observatory);
+        return closed_by_observatory(follower, order, given_utc, within).await;
     };
     let closing = TakenBy::Domes(over.clone());
     taken(&closing);
     let commanded = bus.clock().machine();
     let answers = async {
-        loop {
-            tokio::time::sleep(PAUSE).await;
-            match give(bus, address, order).await {
-                Err(error) if error.is_silence() => tries.send_modify(|tries| *tries += 1),
-                answer => return answer,
+        let again = || {
+            count();
+            ask_again()
+        };
+        match ask_on(bus, follower, order, Duration::MAX, again).await {
+            Ok(GivenOn::Taken) => Ok(()),
+            Ok(GivenOn::Replaced(_)) => {
+                // Nobody is asked any more, and the domes are followed to their end.
+                silences.send_replace(TRIES);
+                pending().await
             }
+            Err(error) => Err(error),
         }
     };
     let closed = async {
@@ -195,14 +225,14 @@ pub async fn close(
             false => follower.until_domes_closed(&over, commanded, within).await,
         };
         // The sender lives as long as this function.
-        let _ = tried.wait_for(|tries| *tries >= TRIES).await;
+        let _ = counted.wait_for(|silences| *silences >= TRIES).await;
         closed
     };
     tokio::select! {
         answer = answers => {
             answer?;
             taken(&TakenBy::Observatory);
-            follower.closed_by_observatory(order, given_utc, within).await
+            closed_by_observatory(follower, order, given_utc, within).await
         }
         closed = closed => {
             closed?;
@@ -211,200 +241,65 @@ pub async fn close(
     }
 }
 
+async fn closed_by_observatory(
+    follower: &Follower,
+    order: &Order,
+    given_utc: Utc,
+    within: Duration,
+) -> Result<TakenBy, NotDone> {
+    if !within.is_zero() {
+        follower.until_closed(&order.id, given_utc, within).await?;
+    }
+    Ok(TakenBy::Observatory)
+}
+
 /// So long an order that closes and that only the domes took is given on, machine time: an observatory node that hangs is
 /// started again within half a minute, and would open again by its schedule.
 pub const GIVEN_ON: Duration = Duration::from_secs(120);
-/// How the observatory node heard of such an order.
-pub const HEARD_LATER: &str = "the observatory node is back, and has taken the order";
 
-/// Gives an order that only the domes took to the observatory node, until that answers or the time is over.
+/// How it ended that an order which only the domes took was given on.
+#[derive(Debug, Clone, PartialEq)]
+pub enum GivenOn {
+    /// The observatory node has taken it.
+    Taken,
+    /// The observatory node has taken this one about the same thing, which is newer; ours was not given any more.
+    Replaced(OrderTaken),
+}
+
+impl GivenOn {
+    /// For people.
+    pub fn words(&self) -> String {
+        match self {
+            Self::Taken => "the observatory node answers now, and has taken the order".to_owned(),
+            Self::Replaced(OrderTaken { from, at_utc, .. }) => format!(
+                "the observatory node answers now, and has taken a newer order of {} at {}: this one is not given any more",
+                operator(from),
+                at_utc.to_second()
+            ),
+        }
+    }
+}
+
+/// Gives an order that only the domes took to the observatory node, until that answers, or has taken a newer order about
+/// the same thing from anybody, or the time is over.
 ///
 /// # Errors
 /// It did not answer, or refuses.
-pub async fn give_on(bus: &Bus, address: &Address, order: &Order, within: Duration) -> Result<(), NotAccepted> {
-    let began = Instant::now();
-    loop {
-        match give(bus, address, order).await {
-            Err(error) if error.is_silence() && began.elapsed() < within => tokio::time::sleep(PAUSE).await,
-            answer => return answer,
-        }
-    }
+pub async fn give_on(bus: &Bus, follower: &Follower, order: &Order, within: Duration) -> Result<GivenOn, NotAccepted> {
+    ask_on(bus, follower, order, within, ask_again).await
 }
 
-/// Why a telescope is not verified closed after an order that closes.
-#[derive(Debug, thiserror::Error)]
-pub enum NotClosed {
-    /// Somebody accepted the order, and it is not the observatory node.
-    #[error(
-        "NOT VERIFIED: somebody answered \"accepted\", but the observatory node of {address} does not show the order after {} s. \
-         Look at the dome, and close it at its own controls",
-        SHOWN_WITHIN.as_secs()
-    )]
-    NotShown {
-        /// The telescope.
-        address: Address,
-    },
-    /// The time is over.
-    #[error(
-        "NOT verified closed within {} s: {address} is {}{}. The closing goes on; look at the alerts and at the dome",
-        within.as_secs(),
-        posture.unwrap_or(Posture::Unknown).word(),
-        if open.is_empty() { String::new() } else { format!("; not closed: {}", open.join(", ")) }
-    )]
-    Late {
-        /// The telescope.
-        address: Address,
-        /// The time that was given.
-        within: Duration,
-        /// What the observatory node reports.
-        posture: Option<Posture>,
-        /// The domes whose guards do not see them closed.
-        open: Vec<String>,
-    },
-    /// The time is over, and no observatory node answers.
-    #[error(
-        "NOT verified closed within {} s: {}. No observatory node answers; the guard of each dome goes on closing. Look at the dome, \
-         and close it at its own controls",
-        within.as_secs(),
-        names(open)
-    )]
-    DomesLate {
-        /// The domes whose guards do not report them closed.
-        open: Vec<Device>,
-        /// The time that was given.
-        within: Duration,
-    },
-}
-
-/// The states of one telescope while an order is given; open it before the order, so that no effect is missed.
-pub struct Follower {
-    address: Address,
-    nights: Subscriber<NightState>,
-    guards: Subscriber<Guard>,
-}
-
-impl Follower {
-    /// Subscribes to what shows the effect.
-    ///
-    /// # Errors
-    /// Where the bus refuses the subscriptions.
-    pub async fn open(bus: &Bus, address: &Address) -> Result<Self, BusError> {
-        let nights = Topic::Observatory(Part::Night).at(address);
-        Ok(Self {
-            address: address.clone(),
-            nights: bus.subscribe(nights, Catch::Newest, 64).await?,
-            guards: bus.subscribe(Topic::Guard.on_site(&address.site), Catch::Newest, 64).await?,
-        })
-    }
-
-    /// Waits until the observatory node shows the order, which was given at a sky time, or one that it took after it;
-    /// until it reports that all is closed, and no guard of its domes contradicts it.
-    ///
-    /// # Errors
-    /// Where it does not show the order in 10 s, or the time is over.
-    pub async fn until_closed(&self, order: &CommandId, given_utc: Utc, within: Duration) -> Result<(), NotClosed> {
-        let began = Instant::now();
-        let (mut is_shown, mut posture) = (false, None);
-        let mut domes: BTreeMap<String, bool> = BTreeMap::new();
-        while began.elapsed() < within {
-            let left = within.saturating_sub(began.elapsed()).min(Duration::from_secs(1));
-            tokio::select! {
-                received = self.nights.recv() => {
-                    let night = received.sample.body;
-                    if shows(&night, order, given_utc) {
-                        (is_shown, posture) = (true, Some(night.posture));
-                    }
-                }
-                received = self.guards.recv() => {
-                    if let Key::Guard(dome) = &received.key && self.is_over(dome, &received.sample.body) {
-                        domes.insert(dome.to_string(), received.sample.body.verified_closed != Some(false));
-                    }
-                }
-                () = tokio::time::sleep(left) => {}
-            }
-            if is_shown && posture == Some(Posture::Closed) && domes.values().all(|closed| *closed) {
-                return Ok(());
-            }
-            if !is_shown && began.elapsed() > SHOWN_WITHIN {
-                return Err(NotClosed::NotShown { address: self.address.clone() });
-            }
-        }
-        let open = domes.into_iter().filter(|(_, closed)| !closed).map(|(dome, _)| dome).collect();
-        Err(NotClosed::Late { address: self.address.clone(), within, posture, open })
-    }
-
-    async fn closed_by_observatory(&self, order: &Order, given: Utc, within: Duration) -> Result<TakenBy, NotDone> {
-        if !within.is_zero() {
-            self.until_closed(&order.id, given, within).await?;
-        }
-        Ok(TakenBy::Observatory)
-    }
-
-    /// Waits until the guard of each of these domes reports it closed, by a sample that arrived after the command.
-    async fn until_domes_closed(
-        &self,
-        domes: &[Device],
-        commanded: MachineTime,
-        within: Duration,
-    ) -> Result<(), NotClosed> {
-        let mut open: BTreeSet<Device> = domes.iter().cloned().collect();
-        let closing = async {
-            while !open.is_empty() {
-                let received = self.guards.recv().await;
-                let Key::Guard(dome) = received.key else { continue };
-                if received.arrived < commanded || !domes.contains(&dome) {
-                    continue;
-                }
-                match received.sample.body.verified_closed {
-                    Some(true) => open.remove(&dome),
-                    Some(false) | None => open.insert(dome),
-                };
-            }
-        };
-        let closed = tokio::time::timeout(within, closing).await;
-        closed.map_err(|_| NotClosed::DomesLate { open: open.into_iter().collect(), within })
-    }
-
-    /// Is this the guard of a dome over the telescope?
-    fn is_over(&self, dome: &Device, guard: &Guard) -> bool {
-        let telescope = self.address.telescope.as_str();
-        dome.address == self.address
-            || guard.granted.iter().any(|granted| granted.telescope == telescope)
-            || guard.permits.iter().any(|permit| permit.telescope == telescope)
-    }
-}
-
-/// Does the observatory node show the order? Somebody else may publish in its name: only a sample that contains the order
-/// counts, or one that was taken later and so is shown in its place.
-fn shows(night: &NightState, order: &CommandId, given_utc: Utc) -> bool {
-    night.last_order.as_ref().is_some_and(|last| last.id == *order || last.at_utc >= given_utc)
-}
-
-#[cfg(test)]
-mod tests {
-    use contract::observatory::OrderTaken;
-
-    use super::*;
-
-    #[test]
-    fn an_order_is_shown_by_itself_or_by_one_that_was_taken_after_it() {
-        let sample = include_str!("../../contract/golden/v1/observatory.night.json");
-        let mut night: NightState = serde_json::from_str(sample).unwrap();
-        let given = Utc::from_seconds(1_000.0);
-        let [ours, another] = [CommandId::fresh(), CommandId::fresh()];
-        let mut shown = |last: Option<(&CommandId, f64)>| {
-            night.last_order = last.map(|(id, at_s)| OrderTaken {
-                id: id.clone(),
-                from: "web/olga".to_owned(),
-                verb: "close".to_owned(),
-                at_utc: Utc::from_seconds(at_s),
-                night: None,
-            });
-            shows(&night, &ours, given)
-        };
-        assert!(!shown(None));
-        assert!(!shown(Some((&another, 999.0))), "from before");
-        assert!(shown(Some((&ours, 1_001.0))));
-        assert!(shown(Some((&another, 1_002.0))), "it came after ours");
+/// As [`give_on`]; `silent` is called at each silence.
+async fn ask_on(
+    bus: &Bus,
+    follower: &Follower,
+    order: &Order,
+    within: Duration,
+    silent: impl FnMut() -> Ready<ControlFlow<Infallible>>,
+) -> Result<GivenOn, NotAccepted> {
+    tokio::select! {
+        biased;
+        newer = follower.until_replaced(order) => Ok(GivenOn::Replaced(newer)),
+        answer = give_until_answered(bus, &follower.address, order, within, silent) => answer.map(|_| GivenOn::Taken),
     }
 }

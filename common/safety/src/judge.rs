@@ -10,7 +10,8 @@ use config::Response;
 use contract::observatory::{InputLimit, InputState, Sector, Unsafe, Verdict};
 
 use super::history::{Evidence, Now, Record};
-use super::received::{History, Measured, MonitorReading};
+use super::reading::{Measured, MonitorReading};
+use super::received::History;
 use super::rules::{LimitRule, MonitorRule, Rules};
 
 /// The verdict and what it rests on.

@@ -22,9 +22,10 @@
 //! What the verdict rests on:
 //!
 //! - [`rules`]: the configured inputs and limits; [`measure`]: what of a parameter a limit is put on.
-//! - [`history`]: the states of one input, as far back as its dwell looks; [`received`]: the states of all inputs.
-//! - [`recall`]: what a device node recorded before this node listened, placed on this node's clocks;
-//!   [`stored_history`]: what this node itself received before it was restarted.
+//! - [`reading`]: what a published state says of an input; [`history`]: the states of one input, as far back as its
+//!   dwell looks; [`received`]: the states of all inputs.
+//! - [`recall`]: what a device node recorded and this node did not receive, placed on this node's clocks; [`recalled`]:
+//!   the same among what was received; [`stored_history`]: what this node itself received before it was restarted.
 //! - [`contradiction`]: values of a weather station that exclude each other; [`frozen`]: a station whose values do not
 //!   move; [`wind`]: directions to avoid.
 //! - [`nodes`]: clocks and disks of the other machines; [`clocks`]: what time it may be; [`sun`]: where the Sun stands
@@ -52,6 +53,9 @@
 //!   (`clocks.rs`).
 //! - Evidence from the past counts only where it joins the live states; live states alone show what is true now
 //!   (decision 0012): `recalled_evidence_without_live_states_is_not_what_is_now`.
+//! - What was recorded counts over restarts of all nodes, holes in what was received, and any two of them; without a
+//!   record nothing does (decision 0177): `of_any_two_interruptions_within_a_dwell_neither_starts_it_anew`,
+//!   `nobody_is_safe_after_interruptions_where_one_who_received_everything_is_not`.
 //! - What this node wrote before a restart counts like what it received, and no longer (decision 0150):
 //!   `a_restart_within_the_allowed_age_is_judged_as_if_nothing_had_come_meanwhile`.
 //! - What may have happened before this node subscribed is unknown, and unknown is unsafe, also within the window of a
@@ -79,7 +83,9 @@ pub mod objection;
 pub mod on_disk;
 pub mod operators;
 pub mod ordered_by;
+pub mod reading;
 pub mod recall;
+pub mod recalled;
 pub mod received;
 pub mod rules;
 pub mod stored_history;

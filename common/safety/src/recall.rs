@@ -1,9 +1,10 @@
-//! The record of a device node of the time before this observatory node listened, placed on this node's own clocks.
+//! The record of a device node of what this observatory node did not receive, placed on this node's own clocks: of the
+//! time before it listened, and of holes in what it received since.
 //!
-//! A record is evidence for the past only. It is taken if it joins the live states: same incarnation of the device
-//! node, numbers without a gap, and the first live state among them, with the same content. Live states alone decide
-//! what is now; states in the record after the newest live one that nobody received are left out. A record that does
-//! not fit is refused as a whole, and the dwell runs as without one.
+//! A record is evidence for the past only. It is taken if it joins what was received: without a gap in the numbers of
+//! any incarnation of the device node, and with the states that were received here before and after the hole among them,
+//! with the same content. Live states alone decide what is now; states in the record after the newest live one that nobody
+//! received are left out. A record that does not fit is refused as a whole, and the dwell runs as without one.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -21,6 +22,8 @@ const DOUBT: Duration = Duration::from_secs(1);
 const DRIFT: Duration = Duration::from_millis(100);
 /// Older states are no evidence; machine time.
 const OLDEST: Duration = Duration::from_secs(10 * 86_400);
+/// The state before a hole is asked for too, however long it was on its way; machine time.
+const MARGIN: Duration = Duration::from_secs(5);
 /// More states than any device node keeps.
 const MOST_ENTRIES: usize = 20_000;
 
@@ -42,11 +45,28 @@ pub fn ages_s<F>(state: &DeviceState<F>) -> BTreeMap<String, f64> {
     state.readings.iter().filter_map(|(name, reading)| Some((name.clone(), reading.age_s?))).collect()
 }
 
-/// The live states of one device while its node is asked for the time before.
+/// What was received of one device, and where something is missing in it.
 #[derive(Debug)]
 pub struct Recall<F> {
+    /// The newest state before a hole; none before the first one.
+    before: Option<LiveState<F>>,
+    /// All states after the hole, until the device node was asked; none while nothing is missing.
+    live: Vec<LiveState<F>>,
+}
+
+/// One state as it was received.
+#[derive(Debug)]
+struct LiveState<F> {
     boot_id: BootId,
-    live: Vec<(u64, PlacedState<F>)>,
+    seq: u64,
+    placed: PlacedState<F>,
+}
+
+/// One state of a record, with its age when that was answered.
+struct RecordedState<'a, F> {
+    boot_id: &'a BootId,
+    entry: &'a StateEntry<F>,
+    age: Duration,
 }
 
 /// When a record was asked for and when it came.
@@ -60,33 +80,56 @@ pub struct Asked {
     pub speed: f64,
 }
 
-impl<F: Payload + PartialEq> Recall<F> {
-    /// Begins with the first state that was received.
-    pub fn new(first: &Stamped<DeviceState<F>>, at: Now) -> Self {
-        let mut recall = Self { boot_id: first.boot_id.clone(), live: Vec::new() };
-        recall.observe(first, at);
-        recall
+impl<F> Default for Recall<F> {
+    fn default() -> Self {
+        Self { before: None, live: Vec::new() }
     }
+}
 
-    /// Takes in a live state, newer than those before; false if it is of another incarnation, which knows nothing of
-    /// the first.
+impl<F: Payload + PartialEq> Recall<F> {
+    /// Takes in a live state, newer than those before; true if a hole ends with it, so that its node is to be asked.
+    /// While that is done, later holes are parts of this one.
     pub fn observe(&mut self, sample: &Stamped<DeviceState<F>>, at: Now) -> bool {
-        let state = PlacedState {
+        let placed = PlacedState {
             at,
             link: sample.body.link.clone(),
             fields: sample.body.fields.clone(),
             ages_s: ages_s(&sample.body),
         };
-        let same_boot = sample.boot_id == self.boot_id;
-        if same_boot {
-            self.live.push((sample.seq, state));
+        let state = LiveState { boot_id: sample.boot_id.clone(), seq: sample.seq, placed };
+        if !self.live.is_empty() {
+            self.live.push(state);
+            return false;
         }
-        same_boot
+        let is_next =
+            |before: &LiveState<F>| before.boot_id == state.boot_id && before.seq.checked_add(1) == Some(state.seq);
+        if self.before.as_ref().is_some_and(is_next) {
+            self.before = Some(state);
+            return false;
+        }
+        self.live.push(state);
+        true
     }
 
-    /// All states up to the newest live one, oldest first, or why the record is not taken.
+    /// How far back the device node is to be asked, sky time, of which `speed` seconds are one of the machine: over the
+    /// hole, or as far as anybody looks.
+    pub fn back(&self, now: Now, longest: Duration, speed: f64) -> Duration {
+        let hole = |before: &LiveState<F>| now.machine.since(before.placed.at.machine).saturating_add(MARGIN);
+        self.before.as_ref().map_or(longest, |before| hole(before).mul_f64(speed).min(longest))
+    }
+
+    /// The device node was asked, with whatever result.
+    pub fn close(&mut self) {
+        if let Some(newest) = self.live.pop() {
+            self.before = Some(newest);
+            self.live.clear();
+        }
+    }
+
+    /// All states of the hole and since, oldest first, or why the record is not taken.
     pub fn place(&self, record: &StateRecord<F>, asked: Asked) -> Result<Vec<PlacedState<F>>, String> {
-        if record.boot_id != self.boot_id {
+        let newest = self.live.last().ok_or("nothing was received since")?;
+        if record.boot_id != newest.boot_id {
             return Err("it is of another incarnation of the device node than the live states".to_owned());
         }
         // False for NaN too.
@@ -94,36 +137,59 @@ impl<F: Payload + PartialEq> Recall<F> {
         if !same_speed {
             return Err(format!("its sky time ran at {} x, here it runs at {} x", record.speed, asked.speed));
         }
-        let ages = ages(&record.entries)?;
-        let entries: Vec<(&StateEntry<F>, Duration)> = record.entries.iter().zip(ages).collect();
-        let joins = self.live.first().is_some_and(|(first, _)| entries.iter().any(|(entry, _)| entry.seq == *first));
-        let (Some((newest, _)), Some((last, _)), true) = (self.live.last(), entries.last(), joins) else {
-            return Err("it does not reach the first state that was received here".to_owned());
-        };
-        let answered = self.answered(&entries, asked)?;
+        let states = states(record)?;
+        let begins = self.begins(&states)?;
+        let answered = self.answered(&states, record, asked)?;
+        let ends = states.iter().rposition(|state| state.is(newest)).map_or(states.len(), |newest| newest + 1);
         let sky = asked.answered.sky.minus(asked.answered.machine.since(answered).mul_f64(asked.speed));
-        let placed = entries.iter().filter(|(entry, _)| entry.seq <= *newest).map(|(entry, age)| PlacedState {
-            at: Now { sky: sky.minus(age.mul_f64(asked.speed)), machine: answered.minus(*age) },
-            link: entry.link.clone(),
-            fields: entry.fields.clone(),
-            ages_s: entry.reading_ages_s.clone(),
+        let missed = states.get(begins..ends).unwrap_or_default().iter().map(|state| PlacedState {
+            at: Now { sky: sky.minus(state.age.mul_f64(asked.speed)), machine: answered.minus(state.age) },
+            link: state.entry.link.clone(),
+            fields: state.entry.fields.clone(),
+            ages_s: state.entry.reading_ages_s.clone(),
         });
-        let later = self.live.iter().filter(|(seq, _)| *seq > last.seq).map(|(_, state)| state.clone());
-        Ok(placed.chain(later).collect())
+        let later = self.live.iter().filter(|live| !states.iter().any(|state| state.is(live)));
+        Ok(missed.chain(later.map(|live| live.placed.clone())).collect())
+    }
+
+    /// The index of the first state that was missed, or why the record does not join what was received.
+    fn begins(&self, states: &[RecordedState<'_, F>]) -> Result<usize, String> {
+        let Some(before) = &self.before else {
+            let joins = self.live.first().is_some_and(|first| states.iter().any(|state| state.is(first)));
+            let why = "it does not reach the first state that was received here";
+            return if joins { Ok(0) } else { Err(why.to_owned()) };
+        };
+        if let Some((index, state)) = states.iter().enumerate().find(|(_, state)| state.is(before)) {
+            return state.agrees(before).map(|()| index + 1);
+        }
+        // It need not reach so far back, if it is of the same incarnation.
+        let begins_later =
+            |oldest: &RecordedState<'_, F>| *oldest.boot_id == before.boot_id && oldest.entry.seq > before.seq;
+        let why = "it does not reach the newest state that was received before the hole";
+        if states.first().is_some_and(begins_later) { Ok(0) } else { Err(why.to_owned()) }
     }
 
     /// The latest moment at which the record can have been answered: before it arrived, before a later state arrived,
     /// and before the time at which a state had the age that the record gives. Late is the safe side: what was bad is
     /// the younger for it.
-    fn answered(&self, entries: &[(&StateEntry<F>, Duration)], asked: Asked) -> Result<MachineTime, String> {
+    fn answered(
+        &self,
+        states: &[RecordedState<'_, F>],
+        record: &StateRecord<F>,
+        asked: Asked,
+    ) -> Result<MachineTime, String> {
         let mut answered = asked.answered.machine;
-        for (seq, live) in &self.live {
-            match entries.iter().find(|(entry, _)| entry.seq == *seq) {
-                Some((entry, _)) if entry.link != live.link || entry.fields != live.fields => {
-                    return Err(format!("its state {seq} differs from the one that was received"));
+        for live in &self.live {
+            let at = live.placed.at.machine;
+            let is_later =
+                || live.boot_id == record.boot_id && record.entries.last().is_none_or(|newest| newest.seq < live.seq);
+            match states.iter().find(|state| state.is(live)) {
+                Some(state) => {
+                    state.agrees(live)?;
+                    answered = answered.min(at.plus(state.age));
                 }
-                Some((_, age)) => answered = answered.min(live.at.machine.plus(*age)),
-                None => answered = answered.min(live.at.machine),
+                None if is_later() => answered = answered.min(at),
+                None => return Err(format!("its state {} is missing, which was received", live.seq)),
             }
         }
         if asked.at.since(answered) > DRIFT {
@@ -137,25 +203,43 @@ impl<F: Payload + PartialEq> Recall<F> {
     }
 }
 
-/// The ages of the entries, where they are those of a record.
-fn ages<F>(entries: &[StateEntry<F>]) -> Result<Vec<Duration>, String> {
-    if entries.len() > MOST_ENTRIES {
-        return Err(format!("it has {} states", entries.len()));
+impl<F: PartialEq> RecordedState<'_, F> {
+    fn is(&self, live: &LiveState<F>) -> bool {
+        *self.boot_id == live.boot_id && self.entry.seq == live.seq
     }
-    let mut ages: Vec<Duration> = Vec::with_capacity(entries.len());
-    for (index, entry) in entries.iter().enumerate() {
-        let age = Duration::try_from_secs_f64(entry.age_s).ok().filter(|age| *age <= OLDEST);
-        let age = age.ok_or_else(|| format!("its state {} has an age of {} s", entry.seq, entry.age_s))?;
-        let before = index.checked_sub(1).and_then(|before| entries.get(before));
-        if before.is_some_and(|before| before.seq.checked_add(1) != Some(entry.seq)) {
-            return Err(format!("a state is missing before {}", entry.seq));
+
+    /// Is what was received of it the same?
+    fn agrees(&self, live: &LiveState<F>) -> Result<(), String> {
+        if self.entry.link != live.placed.link || self.entry.fields != live.placed.fields {
+            return Err(format!("its state {} differs from the one that was received", live.seq));
         }
-        if ages.last().is_some_and(|before| *before < age) {
-            return Err(format!("its state {} is older than the one before", entry.seq));
-        }
-        ages.push(age);
+        Ok(())
     }
-    Ok(ages)
+}
+
+/// All states in their order, with their ages, where they are those of a record.
+fn states<F>(record: &StateRecord<F>) -> Result<Vec<RecordedState<'_, F>>, String> {
+    let earlier = record.earlier.iter().map(|earlier| (&earlier.boot_id, &earlier.entries));
+    let mut states: Vec<RecordedState<'_, F>> = Vec::new();
+    for (boot_id, entries) in earlier.chain([(&record.boot_id, &record.entries)]) {
+        let mut before: Option<u64> = None;
+        for entry in entries {
+            let age = Duration::try_from_secs_f64(entry.age_s).ok().filter(|age| *age <= OLDEST);
+            let age = age.ok_or_else(|| format!("its state {} has an age of {} s", entry.seq, entry.age_s))?;
+            if before.is_some_and(|before| before.checked_add(1) != Some(entry.seq)) {
+                return Err(format!("a state is missing before {}", entry.seq));
+            }
+            if states.last().is_some_and(|before| before.age < age) {
+                return Err(format!("its state {} is older than the one before", entry.seq));
+            }
+            if states.len() >= MOST_ENTRIES {
+                return Err(format!("it has more than {MOST_ENTRIES} states"));
+            }
+            before = Some(entry.seq);
+            states.push(RecordedState { boot_id, entry, age });
+        }
+    }
+    Ok(states)
 }
 
 #[cfg(test)]

@@ -157,14 +157,16 @@ impl Rules {
         }
     }
 
-    /// How far back the limits on each device look, sky time: the dwell, before it the window of a measure, and a state
+    /// How far back the rules look at each device, sky time: the dwell, before it the window of a measure, and a state
     /// more, by which the window began.
     pub fn look_back(&self, speed: f64) -> BTreeMap<Device, Duration> {
+        let monitors = self.monitors.iter().map(|rule| (&rule.device, rule.dwell, Duration::ZERO, rule.max_age));
+        let limits = self.limits.iter().map(|rule| (&rule.device, rule.dwell, rule.measure.over(), rule.max_age));
         let mut longest = BTreeMap::new();
-        for rule in &self.limits {
-            let window = rule.measure.over().min(LONGEST) + rule.max_age.min(LONGEST).mul_f64(speed);
-            let looks = rule.dwell.min(LONGEST) + window;
-            let back: &mut Duration = longest.entry(rule.device.clone()).or_default();
+        for (device, dwell, over, max_age) in monitors.chain(limits) {
+            let window = over.min(LONGEST) + max_age.min(LONGEST).mul_f64(speed);
+            let looks = dwell.min(LONGEST) + window;
+            let back: &mut Duration = longest.entry(device.clone()).or_default();
             *back = (*back).max(looks.min(LONGEST));
         }
         longest

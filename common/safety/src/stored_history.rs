@@ -16,7 +16,8 @@ use crate::clocks::AGREE_S;
 use crate::frozen::StoredStill;
 use crate::history::{Now, Record, StoredRecord};
 use crate::measure::{StoredWindow, Window};
-use crate::received::{History, Measured, MonitorReading};
+use crate::reading::{Measured, MonitorReading};
+use crate::received::History;
 use crate::rules::Rules;
 
 /// One moment by all clocks of this node.
@@ -71,7 +72,7 @@ impl History {
             monitors: monitors.collect(),
             limits: limits.collect(),
             polls: self.polls.iter().map(|(device, poll)| (device.to_string(), *poll)).collect(),
-            stations: stations(rules).iter().filter_map(still).collect(),
+            stations: devices(rules).iter().filter_map(still).collect(),
         }
     }
 
@@ -84,9 +85,9 @@ impl History {
     ) -> Result<Vec<PassedOver>, String> {
         let then = stored.written(moment)?;
         let age = moment.now.machine.since(then.machine);
-        let monitors = rules.monitors.iter().map(|rule| &rule.device);
-        for device in monitors.chain(rules.limits.iter().map(|rule| &rule.device)) {
-            self.polls.extend(stored.polls.get(&device.to_string()).map(|poll| (device.clone(), *poll)));
+        let mut whole = devices(rules);
+        for device in &whole {
+            self.polls.extend(stored.polls.get(&device.to_string()).map(|poll| ((*device).clone(), *poll)));
         }
         let mut passed_over = Vec::new();
         for (index, rule) in rules.monitors.iter().enumerate() {
@@ -94,26 +95,30 @@ impl History {
                 Ok(record) => {
                     self.monitors.get_mut(index).into_iter().for_each(|own| *own = Record::of_stored(record, then))
                 }
-                Err(why) => passed_over.push((rule.input.clone(), why)),
+                Err(why) => {
+                    whole.remove(&rule.device);
+                    passed_over.push((rule.input.clone(), why));
+                }
             }
         }
         for (index, rule) in rules.limits.iter().enumerate() {
             match fitting(&stored.limits, &format!("{rule:?}"), age, self.allowed(rule)) {
                 Ok((record, window)) => {
-                    let before = (Record::of_stored(record, then), Window::of_stored(window, then.sky));
-                    if let (Some(record), Some(window), Some(restored)) =
-                        (self.limits.get_mut(index), self.windows.get_mut(index), self.restored.get_mut(index))
-                    {
-                        (*record, *window) = before.clone();
-                        *restored = Some(before);
+                    if let (Some(own), Some(own_window)) = (self.limits.get_mut(index), self.windows.get_mut(index)) {
+                        (*own, *own_window) = (Record::of_stored(record, then), Window::of_stored(window, then.sky));
                     }
                     if let Some(still) = stored.stations.get(&rule.device.to_string()) {
                         self.freeze.restore(&rule.device, still, then.machine);
-                        self.restored_freeze.restore(&rule.device, still, then.machine);
                     }
                 }
-                Err(why) => passed_over.push((rule.input.clone(), why)),
+                Err(why) => {
+                    whole.remove(&rule.device);
+                    passed_over.push((rule.input.clone(), why));
+                }
             }
+        }
+        for device in whole {
+            self.keep(rules, device, true);
         }
         Ok(passed_over)
     }
@@ -143,8 +148,8 @@ impl StoredHistory {
     }
 }
 
-fn stations(rules: &Rules) -> BTreeSet<&Device> {
-    rules.limits.iter().map(|rule| &rule.device).collect()
+fn devices(rules: &Rules) -> BTreeSet<&Device> {
+    rules.monitors.iter().map(|rule| &rule.device).chain(rules.limits.iter().map(|rule| &rule.device)).collect()
 }
 
 /// What was written of an input, if it can still count.

@@ -158,6 +158,10 @@ fn when_all_nodes_are_restarted_within_the_allowed_age_no_dwell_starts_anew() {
     recall(&mut site, 304..=304, |second| air(second, 3.0));
     let judged = site.judged(304);
     assert_eq!((judged.verdict, &judged.reasons), (Verdict::Safe, &Vec::new()));
+    assert!(!site.history.all_received(), "the monitor's node was not asked yet");
+    let monitor = device(Kind::SafetyMonitor, "m");
+    site.history.recall_monitor(&site.rules, &monitor, Vec::new());
+    assert_eq!(site.judged(304).reasons, [], "a node without a record takes nothing away");
     assert!(site.history.all_received());
     // And once more.
     let mut site = site.restarted(304, 307);

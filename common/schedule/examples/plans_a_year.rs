@@ -92,17 +92,16 @@ pub fn plan(nights: u32) -> anyhow::Result<(String, f64)> {
     let begun = Instant::now();
     let known = KnownFacts::of(config.clone());
     let mut site = Site::new(config.clone(), Evidence::default().overheads(&config))?;
-    let (mut rows, mut frames, mut at_risk, mut terabytes) = (0, 0, 0, 0.0);
+    let (mut rows, mut frames, mut at_risk) = (0, 0, 0);
     for text in &texts {
         let night = forecast(accept(text, &known)?, &mut site)?;
         rows += night.rows.len();
         frames += night.frames();
         at_risk += night.at_risk().count();
-        terabytes += night.bytes() / 1e12;
         anyhow::ensure!(night.frames() > 200 && night.open_s > 6.0 * 3600.0, "a poor night: {:?}", night.rows);
     }
     let took_s = begun.elapsed().as_secs_f64();
-    let report = format!("{nights} nights, {rows} rows, {frames} frames, {terabytes:.1} TB, {at_risk} rows not whole");
+    let report = format!("{nights} nights, {rows} rows, {frames} frames, {at_risk} rows not whole");
     Ok((report, took_s))
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use config::meant;
+use config::{meant, nearest};
 use contract::Name;
 use contract::device::camera::Purpose;
 use contract::observatory::{Check, Finding};
@@ -12,7 +12,7 @@ use units::Utc;
 
 use crate::action::{ACTIONS, Action, Entry};
 use crate::fault::{Right as _, error};
-use crate::row::{Row, RowId};
+use crate::row::{PartOfRow, Row, RowId};
 use crate::times::{self, Read};
 use crate::written::{Of, Position, Written};
 use crate::wrong::{Mend, Wrong};
@@ -41,77 +41,88 @@ pub fn defaults_of(cameras: &[config::Camera]) -> Defaults {
     cameras.iter().filter(|camera| !camera.defaults.is_empty()).map(of_camera).collect()
 }
 
-/// A row with the defaults of its camera, and without parameters that are `null`: they are as if they were not there.
-pub(super) fn whole(object: &Map<String, Value>, defaults: &Defaults) -> Map<String, Value> {
-    let mut object = object.clone();
-    let text = |key: &str| object.get(key).and_then(Value::as_str).unwrap_or_default().to_owned();
-    let of_action = defaults.get(&text("device_name")).and_then(|of_camera| of_camera.get(&text("action_type")));
-    if let Some(of_action) = of_action
-        && matches!(object.get("action_value"), None | Some(Value::Null))
-    {
-        object.insert("action_value".to_owned(), Value::Object(of_action.clone()));
+/// Parameters with those defaults, and without those that are `null`: they are as if they were not there.
+fn whole(mut given: Map<String, Value>, defaults: Option<&Map<String, Value>>) -> Map<String, Value> {
+    given.retain(|_, value| !value.is_null());
+    for (key, value) in defaults.into_iter().flatten() {
+        given.entry(key.as_str()).or_insert_with(|| value.clone());
     }
-    if let Some(Value::Object(values)) = object.get_mut("action_value") {
-        values.retain(|_, value| !value.is_null());
-        for (key, value) in of_action.into_iter().flatten() {
-            values.entry(key.as_str()).or_insert_with(|| value.clone());
-        }
-    }
-    object
+    given
 }
 
 /// A row's object while it is read.
 struct RowObject<'a> {
     object: &'a Map<String, Value>,
-    written: &'a Written,
+    written: &'a mut Written,
     findings: &'a mut Vec<Finding>,
 }
 
-/// The row, if nothing is wrong with it.
+/// The row; with faults that are surely mended, as it is then. Else as much of it as could be read.
 pub(super) fn row(
     object: &Map<String, Value>,
     id: RowId,
-    written: Arc<Written>,
-    cameras: &[Name],
+    mut written: Written,
+    (cameras, defaults): (&[Name], &Defaults),
     findings: &mut Vec<Finding>,
-) -> Option<Row> {
-    let before = findings.len();
-    let mut source = RowObject { object, written: &written, findings: &mut *findings };
-    source.names();
+) -> Result<Row, PartOfRow> {
+    let object = &named(object, &mut written, findings);
+    let mut source = RowObject { object, written: &mut written, findings };
     let camera = source.camera(cameras);
-    let action = source.action();
+    let action = source.action(camera.as_ref().and_then(|camera| defaults.get(camera.as_str())));
     let window = source.window();
     let programme = source.programme();
-    let is_whole = findings.len() == before;
-    let (camera, action, (start, end)) = (camera?, action?, window?);
-    let line = usize::try_from(written.begin.line).unwrap_or(usize::MAX);
-    is_whole.then_some(Row { id, line, written, camera, action, programme, start, end })
+    let written = Arc::new(written);
+    match (camera, action, window) {
+        (Some(camera), Some(action), Some((start, end))) => {
+            let line = usize::try_from(written.begin.line).unwrap_or(usize::MAX);
+            Ok(Row { id, line, written, camera, action, programme, start, end })
+        }
+        (camera, _, window) => Err(PartOfRow { written, camera, filters: filters(object), window }),
+    }
+}
+
+/// The filters that a row names, whatever else is wrong with it.
+fn filters(object: &Map<String, Value>) -> Vec<String> {
+    let named = object.get("action_value").and_then(|value| value.get("filter"));
+    let each = match named {
+        Some(Value::Array(several)) => several.as_slice(),
+        Some(one) => std::slice::from_ref(one),
+        None => &[],
+    };
+    each.iter().filter_map(Value::as_str).map(str::to_owned).collect()
+}
+
+/// A row with the names that were meant; reports unknown ones, and known ones that stand twice.
+fn named(object: &Map<String, Value>, written: &mut Written, findings: &mut Vec<Finding>) -> Map<String, Value> {
+    for (name, at) in written.doubled().take(MOST_WRONG) {
+        findings.push(error(Check::Schema, at, Some(name), "stands twice in this row").right("leave one"));
+    }
+    let is_known = |key: &str| FIELDS.contains(&key) || IGNORED.contains(&key);
+    let is_parameter = |key: &str| ACTIONS.iter().any(|entry| !entry.schema()["properties"][key].is_null());
+    let mut meant_object = object.clone();
+    for key in object.keys().filter(|key| !is_known(key.as_str())).take(MOST_WRONG) {
+        let at = written.key(Of::Row, key);
+        let found = error(Check::Schema, at, Some(key), format!("unknown key {key:?}"));
+        if is_parameter(key) {
+            findings.push(found.right("it belongs into action_value"));
+            continue;
+        }
+        let mend = Mend::name(key, FIELDS);
+        findings.push(found.right(meant(key, FIELDS)).fix(written.mend(Of::Row, key, Some(mend.clone()))));
+        if let Mend::Name(near) = mend
+            && !meant_object.contains_key(&near)
+        {
+            let given = meant_object.remove(key).unwrap_or_default();
+            written.rename(Of::Row, key, &near);
+            meant_object.insert(near, given);
+        }
+    }
+    meant_object
 }
 
 impl<'a> RowObject<'a> {
     fn report(&mut self, finding: Finding) {
         self.findings.push(finding);
-    }
-
-    /// Unknown names, and known ones that stand twice.
-    fn names(&mut self) {
-        let object = self.object;
-        let is_known = |key: &str| FIELDS.contains(&key) || IGNORED.contains(&key);
-        let is_parameter = |key: &str| ACTIONS.iter().any(|entry| !entry.schema()["properties"][key].is_null());
-        for key in object.keys().filter(|key| !is_known(key.as_str())).take(MOST_WRONG) {
-            let at = self.written.key(Of::Row, key);
-            let found = error(Check::Schema, at, Some(key), format!("unknown key {key:?}"));
-            self.report(match is_parameter(key) {
-                true => found.right("it belongs into action_value"),
-                false => {
-                    let fix = self.written.mend(Of::Row, key, Some(Mend::name(key, FIELDS)));
-                    found.right(meant(key, FIELDS)).fix(fix)
-                }
-            });
-        }
-        for (name, at) in self.written.doubled().take(MOST_WRONG) {
-            self.findings.push(error(Check::Schema, at, Some(name), "stands twice in this row").right("leave one"));
-        }
     }
 
     /// A field that holds a text.
@@ -131,19 +142,22 @@ impl<'a> RowObject<'a> {
         }
     }
 
+    /// The camera, or the one that was meant.
     fn camera(&mut self, cameras: &[Name]) -> Option<Name> {
-        let wanted = self.text("device_name")?.to_owned();
-        let found = cameras.iter().find(|known| known.as_str() == wanted).cloned();
-        if found.is_none() {
-            let at = self.written.field("device_name");
-            let known = cameras.iter().map(Name::as_str);
-            let found = error(Check::Device, at, Some("device_name"), format!("no camera is named {wanted:?}"));
-            let fix = self.written.mend(Of::Row, "device_name", Mend::word(&wanted, known.clone()));
-            self.report(found.right(meant(&wanted, known)).fix(fix));
+        let wanted = self.text("device_name")?;
+        let named = |name: &str| cameras.iter().find(|known| known.as_str() == name).cloned();
+        if let Some(camera) = named(wanted) {
+            return Some(camera);
         }
-        found
+        let at = self.written.field("device_name");
+        let known = cameras.iter().map(Name::as_str);
+        let found = error(Check::Device, at, Some("device_name"), format!("no camera is named {wanted:?}"));
+        let fix = self.written.mend(Of::Row, "device_name", Mend::word(wanted, known.clone()));
+        self.report(found.right(meant(wanted, known.clone())).fix(fix));
+        nearest(wanted, known).and_then(named)
     }
 
+    /// Its window, or the one that was meant.
     fn window(&mut self) -> Option<(Utc, Utc)> {
         let (start, end) = (self.time("start_time"), self.time("end_time"));
         let (start, end) = (start?, end?);
@@ -155,15 +169,15 @@ impl<'a> RowObject<'a> {
         let found = error(Check::Time, at, Some("end_time"), what);
         // An hour after midnight with the date of the evening.
         let next_day = end.plus_seconds(DAY_S);
-        let is_next_day = next_day > start && next_day.seconds_since(start) <= 0.75 * DAY_S;
-        self.report(if is_next_day {
-            let right = when(next_day);
-            let mend = Mend::Value(Value::from(right.as_str()).to_string());
-            found.right(format!("did you mean {right}?")).fix(self.written.mend(Of::Row, "end_time", Some(mend)))
-        } else {
-            found
-        });
-        None
+        if next_day <= start || next_day.seconds_since(start) > 0.75 * DAY_S {
+            self.report(found);
+            return None;
+        }
+        let right = when(next_day);
+        let mend = Mend::Value(Value::from(right.as_str()).to_string());
+        let fix = self.written.mend(Of::Row, "end_time", Some(mend));
+        self.report(found.right(format!("did you mean {right}?")).fix(fix));
+        Some((start, next_day))
     }
 
     /// The id of the programme, where the row names one; it becomes a keyword of FITS headers.
@@ -209,20 +223,26 @@ impl<'a> RowObject<'a> {
         }
     }
 
-    fn action(&mut self) -> Option<Arc<Action>> {
-        let name = self.text("action_type")?.to_owned();
-        let Some(entry) = ACTIONS.iter().find(|entry| entry.name == name) else {
-            let at = self.written.field("action_type");
-            let found = error(Check::Schema, at, Some("action_type"), format!("unknown action_type {name:?}"));
-            let known = ACTIONS.iter().map(|entry| entry.name);
-            let fix = self.written.mend(Of::Row, "action_type", Mend::word(&name, known.clone()));
-            self.report(found.right(meant(&name, known)).fix(fix));
-            return None;
+    /// The action, or the one that was meant, with its parameters; `defaults` are those of the camera, by action.
+    fn action(&mut self, defaults: Option<&BTreeMap<String, Map<String, Value>>>) -> Option<Arc<Action>> {
+        let name = self.text("action_type")?;
+        let named = |name: &str| ACTIONS.iter().find(|entry| entry.name == name);
+        let entry = match named(name) {
+            Some(entry) => entry,
+            None => {
+                let at = self.written.field("action_type");
+                let found = error(Check::Schema, at, Some("action_type"), format!("unknown action_type {name:?}"));
+                let known = ACTIONS.iter().map(|entry| entry.name);
+                let fix = self.written.mend(Of::Row, "action_type", Mend::word(name, known.clone()));
+                self.report(found.right(meant(name, known.clone())).fix(fix));
+                named(nearest(name, known)?)?
+            }
         };
         let object = self.object;
+        let defaults = defaults.and_then(|of_camera| of_camera.get(entry.name));
         match object.get("action_value") {
-            None | Some(Value::Null) => self.parameters(entry, Map::new()),
-            Some(Value::Object(value)) => self.parameters(entry, value.clone()),
+            None | Some(Value::Null) => self.parameters(entry, whole(Map::new(), defaults)),
+            Some(Value::Object(value)) => self.parameters(entry, whole(value.clone(), defaults)),
             Some(other) => {
                 let at = self.written.field("action_value");
                 let what = format!("expected an object, found {}", short(other));
@@ -232,13 +252,13 @@ impl<'a> RowObject<'a> {
         }
     }
 
-    /// Reads the parameters again with each one that is wrong as in the action's example, or without it, so that all
-    /// are found.
+    /// Reads the parameters again with each one that is wrong as it is surely meant, else as in the action's example or
+    /// without it, so that all are found.
     fn parameters(&mut self, entry: &Entry, mut value: Map<String, Value>) -> Option<Arc<Action>> {
-        let mut mended: Vec<String> = Vec::new();
+        let (mut mended, mut is_sure): (Vec<String>, bool) = (Vec::new(), true);
         loop {
             let wrong = match entry.read(Value::Object(value.clone())) {
-                Ok(action) => return mended.is_empty().then(|| Arc::new(action)),
+                Ok(action) => return is_sure.then(|| Arc::new(action)),
                 Err(wrong) => wrong,
             };
             let few = value.len() <= MOST_PARAMETERS;
@@ -257,23 +277,36 @@ impl<'a> RowObject<'a> {
             };
             let found = error(Check::Schema, at, field.as_deref(), what);
             let given = field.as_ref().and_then(|field| value.get(field)).and_then(Value::as_str);
-            let (hint, number) = field.as_deref().zip(given).and_then(|(field, given)| as_number(field, given)).unzip();
+            let bare = field.as_deref().zip(given).and_then(|(field, given)| unquoted(entry, field, given));
+            let (hint, without) = bare.unzip();
             let found = match hint {
                 Some(hint) => found.right(hint),
                 None => found,
             };
-            let mend = wrong.mend.or(number.flatten());
-            self.report(match &field {
-                Some(name) => {
-                    let mend = mend.filter(|mend| takes(entry, name, mend));
-                    found.fix(self.written.mend(Of::Parameters, name, mend))
-                }
-                None => found,
-            });
+            let mend = wrong.mend.or(without.flatten());
+            let mend = field.as_deref().and_then(|field| mend.filter(|mend| takes(entry, field, mend)));
+            let fix = field.as_deref().and_then(|field| self.written.mend(Of::Parameters, field, mend.clone()));
+            self.report(found.fix(fix));
             let name = field.filter(|_| few && mended.len() < MOST_WRONG)?;
-            match example(entry).remove(&name) {
-                Some(good) => drop(value.insert(name.clone(), good)),
-                None => drop(value.remove(&name)),
+            match mend {
+                Some(Mend::Value(text)) => {
+                    // The bound that is next to a number beyond it is a guess, and nothing follows from it.
+                    is_sure &= !value.get(&name).is_some_and(Value::is_number);
+                    value.insert(name.clone(), serde_json::from_str(&text).unwrap_or_default());
+                }
+                Some(Mend::Name(other)) if !value.contains_key(&other) => {
+                    let given = value.remove(&name).unwrap_or_default();
+                    self.written.rename(Of::Parameters, &name, &other);
+                    value.insert(other, given);
+                }
+                Some(Mend::Remove) => drop(value.remove(&name)),
+                Some(Mend::Name(_)) | None => {
+                    is_sure = false;
+                    match example(entry).remove(&name) {
+                        Some(good) => drop(value.insert(name.clone(), good)),
+                        None => drop(value.remove(&name)),
+                    }
+                }
             }
             mended.push(name);
         }
@@ -289,8 +322,13 @@ impl<'a> RowObject<'a> {
     }
 }
 
-/// A text where a number belongs, an angle of three parts or a number in quotes: what is right, and what mends it.
-fn as_number(field: &str, given: &str) -> Option<(String, Option<Mend>)> {
+/// A text where none belongs, a number or a truth value in quotes or an angle of three parts: what is right, and what
+/// mends it.
+fn unquoted(entry: &Entry, field: &str, given: &str) -> Option<(String, Option<Mend>)> {
+    if let Ok(flag) = given.trim().to_ascii_lowercase().parse::<bool>() {
+        let mend = Mend::Value(flag.to_string());
+        return takes(entry, field, &mend).then(|| (format!("leave the quotes away: {flag}"), Some(mend)));
+    }
     if let Some(number) = given.trim().parse::<f64>().ok().filter(|number| number.is_finite()) {
         return Some((format!("leave the quotes away: {number}"), Some(Mend::Value(number.to_string()))));
     }

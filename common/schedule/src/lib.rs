@@ -61,6 +61,6 @@ pub use fault::Fault;
 pub use fields::{Defaults, defaults_of};
 pub use file::read_text;
 pub use parse::{Reading, parse, read, read_with};
-pub use row::{Row, RowId};
+pub use row::{PartOfRow, Row, RowId};
 pub use written::{Position, Written};
 pub use wrong::Wrong;

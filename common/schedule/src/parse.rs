@@ -1,31 +1,34 @@
 //! Reads a schedule: JSON objects one after another, with `//` comment lines; one bad row refuses the file.
 //!
-//! Reading continues after each fault, so that one list of findings is enough to correct a file. Nothing is written
-//! here: the file with its comments stays as people wrote it.
+//! Reading continues after each fault, so that one list of findings is enough to correct a file: what is surely mended
+//! is read as it is then. Nothing is written here: the file with its comments stays as people wrote it.
 
 use std::collections::HashMap;
 use std::ops::ControlFlow;
-use std::sync::Arc;
 
 use contract::Name;
-use contract::observatory::{Check, Finding};
+use contract::observatory::{Check, Finding, Fix};
 use serde_json::{Map, Value};
 
 use crate::fault::{Fault, MOST_FINDINGS, Right as _, error, in_order};
 use crate::fields::{self, Defaults};
-use crate::row::{Row, RowId};
-use crate::written::{Cursor, Position, Written};
+use crate::row::{PartOfRow, Row, RowId};
+use crate::written::{self, Cursor, Position, Written};
 
 /// A night has a few hundred rows; a file beyond this is no schedule.
 pub(super) const MOST_BYTES: usize = 5_000_000;
 const MOST_ROWS: usize = 10_000;
+/// So many faults of one value are mended for the reading of its rest.
+const MOST_REPAIRS: usize = 16;
 
 /// The result of reading a schedule.
 #[derive(Debug, Clone, Default)]
 pub struct Reading {
-    /// The rows that could be read, in order of their start.
+    /// The rows that could be read, in order of their start; those whose faults are surely mended as they are then.
     pub rows: Vec<Row>,
-    /// The faults of the other rows.
+    /// As much as could be read of the others.
+    pub parts: Vec<PartOfRow>,
+    /// The faults.
     pub findings: Vec<Finding>,
 }
 
@@ -34,7 +37,7 @@ pub struct Reading {
 /// # Errors
 /// All that is wrong with the file.
 pub fn parse(text: &str, cameras: &[Name]) -> Result<Vec<Row>, Fault> {
-    let Reading { rows, findings } = read(text, cameras);
+    let Reading { rows, findings, .. } = read(text, cameras);
     if findings.is_empty() { Ok(rows) } else { Err(Fault { findings }) }
 }
 
@@ -64,13 +67,12 @@ pub fn read_with(text: &str, cameras: &[Name], defaults: &Defaults) -> Reading {
 }
 
 fn read_rows(text: &str, cameras: &[Name], defaults: &Defaults, reading: &mut Reading) {
-    let blanked = without_comments(text);
     let mut twins: HashMap<RowId, usize> = HashMap::new();
-    each_value(text, &blanked, |cursor, found| {
+    each_value(text, |cursor, blanked, found| {
         let (value, end) = match found {
             Piece::Value { value, end } => (value, end),
-            Piece::NoJson { error, from, begin } => {
-                reading.findings.push(no_json(&error, &blanked, from, cursor, begin));
+            Piece::NoJson(finding) => {
+                reading.findings.push(finding);
                 return go_on(reading.findings.len() < MOST_FINDINGS);
             }
         };
@@ -83,12 +85,14 @@ fn read_rows(text: &str, cameras: &[Name], defaults: &Defaults, reading: &mut Re
             });
             return ControlFlow::Continue(());
         };
-        let written = Written::read(cursor, &blanked, end);
+        let written = Written::read(cursor, blanked, end);
         let twin = twins.entry(RowId::of(&value, 0)).and_modify(|count| *count += 1).or_insert(0);
-        let id = RowId::of(&value, *twin);
         // Its id is that of the row as it is written: a change of the defaults makes no new row.
-        let object = fields::whole(object, defaults);
-        reading.rows.extend(fields::row(&object, id, Arc::new(written), cameras, &mut reading.findings));
+        let id = RowId::of(&value, *twin);
+        match fields::row(object, id, written, (cameras, defaults), &mut reading.findings) {
+            Ok(row) => reading.rows.push(row),
+            Err(part) => reading.parts.push(part),
+        }
         if reading.rows.len() > MOST_ROWS {
             let what = format!("more than {MOST_ROWS} rows");
             reading.findings.push(error(Check::Syntax, cursor.position, None, what));
@@ -100,9 +104,8 @@ fn read_rows(text: &str, cameras: &[Name], defaults: &Defaults, reading: &mut Re
 
 /// The objects of a text with the line on which each begins; what is no JSON, or no object, is passed over.
 pub(super) fn objects(text: &str) -> Vec<(u32, Map<String, Value>)> {
-    let blanked = without_comments(text.trim_start_matches('\u{feff}'));
     let mut objects = Vec::new();
-    each_value(&blanked, &blanked, |cursor, found| {
+    each_value(text.trim_start_matches('\u{feff}'), |cursor, _, found| {
         if let Piece::Value { value: Value::Object(object), .. } = found {
             objects.push((cursor.position.line, object));
         }
@@ -115,37 +118,84 @@ pub(super) fn objects(text: &str) -> Vec<(u32, Map<String, Value>)> {
 enum Piece {
     /// A value, and where it ends.
     Value { value: Value, end: usize },
-    /// No JSON: reading began at `from`, this value at `begin`.
-    NoJson { error: serde_json::Error, from: usize, begin: usize },
+    /// No JSON.
+    NoJson(Finding),
 }
 
 fn go_on(does: bool) -> ControlFlow<()> {
     if does { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
 }
 
-/// Takes each value of a text with its place, until `take` ends it; after a place that is no JSON, from the next row on.
-fn each_value<'t>(text: &'t str, blanked: &str, mut take: impl FnMut(Cursor<'t>, Piece) -> ControlFlow<()>) {
-    let (mut cursor, mut from) = (Cursor::new(text), 0);
+/// Takes each value of a text with its place, and with the text without comments, until `take` ends it. What is no JSON
+/// is read again where it is surely mended; else reading goes on with the next row.
+fn each_value<'t>(text: &'t str, mut take: impl FnMut(Cursor<'t>, &str, Piece) -> ControlFlow<()>) {
+    let (mut blanked, mut cursor) = (without_comments(text), Cursor::new(text));
+    let (mut from, mut repairs) = (0, 0);
     loop {
-        let rest = blanked.get(from..).unwrap_or_default();
-        let mut values = serde_json::Deserializer::from_str(rest).into_iter::<Value>();
-        let next = loop {
-            let begin = start_of_value(blanked, from + values.byte_offset());
-            cursor = cursor.to(begin);
-            let (found, next) = match values.next() {
-                None => return,
-                Some(Ok(value)) => (Piece::Value { value, end: from + values.byte_offset() }, None),
-                Some(Err(error)) => (Piece::NoJson { error, from, begin }, Some(next_row(blanked, begin))),
-            };
-            if take(cursor, found).is_break() {
-                return;
-            }
-            if let Some(next) = next {
-                break next;
+        let (fault, begin) = {
+            let rest = blanked.get(from..).unwrap_or_default();
+            let mut values = serde_json::Deserializer::from_str(rest).into_iter::<Value>();
+            loop {
+                let begin = start_of_value(&blanked, from + values.byte_offset());
+                cursor = cursor.to(begin);
+                let value = match values.next() {
+                    None => return,
+                    Some(Err(fault)) => break (fault, begin),
+                    Some(Ok(value)) => value,
+                };
+                repairs = 0;
+                if take(cursor, &blanked, Piece::Value { value, end: from + values.byte_offset() }).is_break() {
+                    return;
+                }
             }
         };
-        let Some(next) = next else { return };
-        from = next;
+        let (finding, repair) = no_json(&fault, &blanked, from, cursor, begin);
+        if take(cursor, &blanked, Piece::NoJson(finding)).is_break() {
+            return;
+        }
+        match repair.filter(|_| repairs < MOST_REPAIRS) {
+            Some(Repair { at, by }) => {
+                blanked.replace_range(at..at + by.len(), by);
+                (from, repairs) = (begin, repairs + 1);
+            }
+            None => match next_row(&blanked, begin) {
+                Some(next) => (from, repairs) = (next, 0),
+                None => return,
+            },
+        }
+    }
+}
+
+/// A change that makes JSON of a text: as many bytes as before, so that everything else stays in its place.
+struct Repair {
+    at: usize,
+    by: &'static str,
+}
+
+impl Repair {
+    /// Of the fault at `at`, in the value that begins at `begin`, where that is sure: a comma too many, Python's words.
+    fn of(text: &str, begin: usize, at: usize) -> Option<Self> {
+        let rest = text.get(at..)?;
+        match rest.chars().next()? {
+            ',' if at == begin => Some(Self { at, by: " " }),
+            '}' | ']' => {
+                let before = text.get(begin..at)?.trim_end().strip_suffix(',')?;
+                Some(Self { at: begin + before.len(), by: " " })
+            }
+            _ => {
+                let words = [("True", "true"), ("False", "false"), ("None", "null")];
+                let (_, by) = words.into_iter().find(|(word, _)| {
+                    rest.strip_prefix(*word).is_some_and(|after| !after.starts_with(char::is_alphanumeric))
+                })?;
+                Some(Self { at, by })
+            }
+        }
+    }
+
+    /// The same for a person's text; `cursor` stands before it.
+    fn fix(&self, cursor: Cursor<'_>) -> Fix {
+        let from = cursor.to(self.at);
+        written::fix(from.position, from.to(self.at + self.by.len()).position, self.by.trim().to_owned())
     }
 }
 
@@ -180,8 +230,15 @@ fn next_row(text: &str, offset: usize) -> Option<usize> {
     None
 }
 
-/// The finding for text that is no JSON; the reader began at `from`, its value at `begin`, where `cursor` stands.
-fn no_json(found: &serde_json::Error, text: &str, from: usize, cursor: Cursor<'_>, begin: usize) -> Finding {
+/// The finding for text that is no JSON, and what surely mends it. The reader began at `from`, its value at `begin`,
+/// where `cursor` stands.
+fn no_json(
+    found: &serde_json::Error,
+    text: &str,
+    from: usize,
+    cursor: Cursor<'_>,
+    begin: usize,
+) -> (Finding, Option<Repair>) {
     let fault = plain(found);
     if found.is_eof() {
         let what = format!("no JSON: {fault}: the row that begins here has no end");
@@ -189,13 +246,15 @@ fn no_json(found: &serde_json::Error, text: &str, from: usize, cursor: Cursor<'_
             true => "write the rows one after another, without [ ] around them",
             false => "close its quotes, brackets and braces",
         };
-        return error(Check::Syntax, cursor.position, None, what).right(right);
+        return (error(Check::Syntax, cursor.position, None, what).right(right), None);
     }
     let at = offset_of(text.get(from..).unwrap_or_default(), found).map_or(begin, |at| (from + at).max(begin));
     let rest = text.get(at..).unwrap_or_default();
+    let repair = Repair::of(text, begin, at);
     let finding = error(Check::Syntax, cursor.to(at).position, None, format!("no JSON: {fault}"));
+    let finding = finding.fix(repair.as_ref().map(|repair| repair.fix(cursor)));
     let before = text.get(begin..at).unwrap_or_default().trim_end();
-    match rest.chars().next() {
+    let finding = match rest.chars().next() {
         Some('/') => finding.right("a comment begins with // and has a line of its own"),
         Some(',') if at == begin => finding.right("rows are not separated by commas"),
         Some(']') if at == begin => finding.right("write the rows one after another, without [ ] around them"),
@@ -204,7 +263,8 @@ fn no_json(found: &serde_json::Error, text: &str, from: usize, cursor: Cursor<'_
         Some('{') if at > begin => finding.right("the row before it is not closed: a } or a comma is missing"),
         Some('T' | 'F' | 'N') => finding.right("write true, false or null, in small letters; NaN is no number"),
         _ => finding,
-    }
+    };
+    (finding, repair)
 }
 
 /// Byte at which serde found the fault, from its line and column, which count bytes.

@@ -204,10 +204,10 @@ fn each_wrong_parameter_is_reported_where_it_stands_and_what_follows_from_it_is_
     let text = object(r#"{"object": "x", "exptime": "10", "dec": 95, "ra": 5, "bin": 99, "guidng": 1}"#);
     let fault = read(&text).unwrap_err();
     let fields: Vec<_> = fault.findings.iter().map(|finding| finding.field.as_deref().unwrap()).collect();
-    assert_eq!(fields, ["exptime", "dec", "bin", "guidng"], "{fault}");
+    assert_eq!(fields, ["exptime", "dec", "bin", "guidng", "guiding"], "{fault}");
     let stands = |column: u32| text.chars().skip(column as usize - 1).take(4).collect::<String>();
     let there: Vec<_> = fault.findings.iter().map(|finding| stands(finding.column)).collect();
-    assert_eq!(there, ["\"10\"", "95, ", "99, ", "\"gui"]);
+    assert_eq!(there, ["\"10\"", "95, ", "99, ", "\"gui", "1}, "]);
 }
 
 #[test]

@@ -66,6 +66,19 @@ pub struct Row {
     pub end: Utc,
 }
 
+/// As much as could be read of a row with a fault that is not surely mended.
+#[derive(Debug, Clone)]
+pub struct PartOfRow {
+    /// The places of the row and its fields in the file.
+    pub written: Arc<Written>,
+    /// The camera, where it is known.
+    pub camera: Option<Name>,
+    /// Filters that it asks for by name.
+    pub filters: Vec<String>,
+    /// Earliest start and latest end, where both can be read.
+    pub window: Option<(Utc, Utc)>,
+}
+
 impl fmt::Debug for Row {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} {} {} to {} (line {})", self.action.name(), self.camera, self.start, self.end, self.line)

@@ -151,6 +151,12 @@ impl Written {
         }
     }
 
+    /// From now on a field is found under the name that it should have.
+    pub(super) fn rename(&mut self, of: Of, name: &str, other: &str) {
+        let named = self.fields.iter_mut().filter(|field| is(field, of, name));
+        named.for_each(|field| other.clone_into(&mut field.name));
+    }
+
     /// A field goes with the comma before it, the first one with that after it.
     fn removed(&self, field: &WrittenField) -> Option<Fix> {
         let beside = |other: &&WrittenField| other.is_parameter == field.is_parameter;
@@ -182,7 +188,8 @@ fn is(field: &WrittenField, of: Of, name: &str) -> bool {
     field.is_parameter == (of == Of::Parameters) && field.name == name
 }
 
-fn fix(from: Position, to: Position, text: String) -> Fix {
+/// The change that puts a text between two places.
+pub(super) fn fix(from: Position, to: Position, text: String) -> Fix {
     Fix { line: from.line, column: from.column, end_line: to.line, end_column: to.column, text }
 }
 

@@ -174,6 +174,9 @@ fn what_a_wheel_reports_counts_before_what_is_configured() {
     let wheel = known().with_filters(&"wheel".parse().unwrap(), vec!["Sloan r".to_owned()]);
     assert!(validate(&row("V"), &known()).valid && !validate(&row("Sloan r"), &known()).valid);
     assert!(!validate(&row("V"), &wheel).valid && validate(&row("Sloan r"), &wheel).valid);
+    // It has not been read yet.
+    let unread = known().with_filters(&"wheel".parse().unwrap(), Vec::new());
+    assert!(validate(&row("V"), &unread).valid && !validate(&row("Sloan r"), &unread).valid);
 }
 
 /// A text with a finding's fix made.
@@ -232,6 +235,33 @@ fn fixes_one_after_the_other_change_what_they_name_and_nothing_else() {
     let [fix] = fixes.as_slice() else { panic!("{twice:?}") };
     assert_eq!((fix.line, fix.end_line, fix.text.as_str()), (5, 8, ""));
     assert_eq!(fixed(&format!("{RIGHT} {}", RIGHT.replace("// é 🔭\n", "")), fix), format!("{RIGHT} "));
+}
+
+#[test]
+fn commas_too_many_truth_values_in_quotes_and_pythons_words_are_told_at_once_and_mended_by_their_fixes() {
+    let night = |guiding: &str, comma: &str| {
+        format!(
+            "{{\"device_name\": \"main\", \"action_type\": \"object\", \"action_value\": {{\"object\": \"x\", \"exptime\": 60, \
+             \"ra\": 60.0, \"dec\": -30.0, {guiding}{comma}}}, \"start_time\": \"2026-11-21 03:00:00\", \
+             \"end_time\": \"2026-11-21 04:00:00\"{comma}\n}}{comma}\n{{\"device_name\": \"main\", \"action_type\": \"close\", \
+             \"start_time\": \"2026-11-21 05:00:00\", \"end_time\": \"2026-11-21 06:00:00\"}}"
+        )
+    };
+    let mut text = night("\"guiding\": \" True\", \"pointing\": False", ",");
+    let found = validate(&text, &known());
+    let fixes = found.findings.iter().filter(|finding| finding.fix.is_some()).count();
+    assert_eq!((found.errors, fixes, found.rows), (5, 5, 2), "{found:?}");
+    for _ in 0..fixes {
+        let fix = validate(&text, &known()).findings.into_iter().find_map(|finding| finding.fix).unwrap();
+        text = fixed(&text, &fix);
+    }
+    assert_eq!(text, night("\"guiding\": true, \"pointing\": false", ""));
+    assert!(validate(&text, &known()).valid);
+    // A text that is no truth value, or none where a truth value belongs, is not changed.
+    for given in ["\"guiding\": \"yes\"", "\"object\": \"true\", \"exptime\": \"true\""] {
+        let found = validate(&night(given, ""), &known());
+        assert!(found.findings.iter().all(|finding| finding.fix.is_none()), "{found:?}");
+    }
 }
 
 #[test]

@@ -233,11 +233,14 @@ impl Harness {
         Ok(child)
     }
 
-    /// Starts `starmesh up` on this test's configuration, for tests of the supervisor; the caller ends it.
+    /// Starts `starmesh up` on this test's configuration, for tests of the supervisor; the caller ends it. Commands find it
+    /// by the runtime directory `run` of the test's folder.
     pub fn up(&self) -> anyhow::Result<Child> {
         let log = std::fs::File::create(self.path("up.log"))?;
+        std::fs::create_dir_all(self.path("run"))?;
         let mut command = Command::new(binary()?);
         command.arg("up").arg(self.path("observatory.toml")).args(["--", "--connect", &self.endpoint]);
+        command.env("XDG_RUNTIME_DIR", self.path("run"));
         Ok(command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log).spawn()?)
     }
 
@@ -269,10 +272,12 @@ impl Harness {
         Ok(())
     }
 
-    /// Runs a subcommand of `starmesh` that needs no bus, and returns what it printed; the error contains all its
-    /// output.
+    /// Runs a subcommand of `starmesh` that needs no bus, or finds that of [`Self::up`]; returns what it printed. The error
+    /// contains all its output.
     pub async fn starmesh(&self, words: &[&str]) -> anyhow::Result<String> {
-        let output = tokio::process::Command::new(binary()?).args(words).stdin(Stdio::null()).output().await?;
+        let mut command = tokio::process::Command::new(binary()?);
+        command.env("XDG_RUNTIME_DIR", self.path("run")).args(words).stdin(Stdio::null());
+        let output = command.output().await?;
         let printed = String::from_utf8_lossy(&output.stdout).into_owned();
         anyhow::ensure!(output.status.success(), "{printed}{}", String::from_utf8_lossy(&output.stderr));
         Ok(printed)

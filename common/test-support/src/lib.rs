@@ -13,6 +13,7 @@
 
 mod browser;
 mod dome_node;
+mod frame;
 mod harness;
 mod header;
 mod lateness;
@@ -25,6 +26,7 @@ mod web_server;
 
 pub use browser::Browser;
 pub use dome_node::DomeNode;
+pub use frame::frame;
 pub use harness::{Harness, HarnessOptions, SITE, TELESCOPE};
 pub use header::header;
 pub use lateness::Lateness;

@@ -159,10 +159,14 @@ fn a_frame_that_is_solved_again_without_distortion_keeps_no_term_of_the_one_befo
 fn a_header_without_room_is_completed_in_a_new_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = new_file(folder.path(), 0);
-    let (data, length) = (data_of(&path), std::fs::metadata(&path).unwrap().len());
+    #[cfg(unix)]
+    std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o640)).unwrap();
+    let (data, before) = (data_of(&path), std::fs::metadata(&path).unwrap());
     complete_file(&path, &plan()).unwrap();
     assert_complete(&path, &data);
-    assert!(std::fs::metadata(&path).unwrap().len() > length);
+    let after = std::fs::metadata(&path).unwrap();
+    assert!(after.len() > before.len());
+    assert_eq!(after.permissions(), before.permissions(), "it is as open to others as before");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left next to it");
 }
 

@@ -98,6 +98,7 @@ pub fn restore(copy_file: &Path, database: &Path) -> anyhow::Result<Option<PathB
     // First a copy in the same folder, then the names: what fails before leaves everything as it was.
     let ready = with_ending(database, ".restored");
     copy(&from, &ready)?;
+    node::private::keep_permissions(database, &fs::File::open(&ready)?);
     let aside = copy_aside(database).with_context(|| format!("cannot keep {} as it is", database.display()))?;
     fs::rename(&ready, database).with_context(|| format!("cannot replace {}", database.display()))?;
     Ok(aside)

@@ -61,7 +61,11 @@ async fn a_copy_that_is_put_back_leaves_the_database_of_before_under_another_nam
     copy_now(&path, &copy).unwrap();
     assert!(copy_now(&path, &copy).unwrap_err().to_string().contains("is there already"));
     write(&path, "second").await;
+    #[cfg(unix)]
+    fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o640)).unwrap();
+    let permissions = fs::metadata(&path).unwrap().permissions();
     let aside = restore(&copy, &path).unwrap().unwrap();
+    assert_eq!(fs::metadata(&path).unwrap().permissions(), permissions, "the archive node may still open it");
     assert!(has(&path, "first") && !has(&path, "second"));
     assert!(has(&aside, "first") && has(&aside, "second"));
     // A new file where none is.

@@ -60,10 +60,10 @@ fn row(connection: &Connection, sql: &str) -> BTreeMap<String, rusqlite::types::
 /// A guided frame, with the errors that its stars showed, px.
 fn guided(id: &str, at: &str, east: f64, north: f64) -> String {
     format!(
-        "INSERT INTO guiding (frame_id, datetime, telescope, camera_name, reference, stage, stars, east_why, east_error_px,
+        "INSERT INTO guiding (frame_id, datetime, telescope, camera_name, reference, stage, shift_x, shift_y, stars, east_why, east_error_px,
             east_expected_px, east_drift_px_per_s, east_pulse_ms, east_given_ms, north_why, north_error_px, north_expected_px,
             north_drift_px_per_s, north_pulse_ms, north_given_ms, correction, boot_id, seq)
-         VALUES ('{id}', '2026-11-21 03:{at}', 'callisto', 'guider', 'g', 'guide', 9, '', {east}, 0, 0, 0, 7, '', {north}, 0, 0, 0, -7, '', 'b', 1);"
+         VALUES ('{id}', '2026-11-21 03:{at}', 'callisto', 'guider', 'g', 'guide', {east}, {north}, 9, '', {east}, 0, 0, 0, 7, '', {north}, 0, 0, 0, -7, '', 'b', 1);"
     )
 }
 

@@ -215,5 +215,5 @@ fn a_value_that_is_no_number_is_no_value_and_hides_no_other() {
     let device = Address::new("paranal", "callisto").unwrap().device(Kind::ObservingConditions, &"wx".parse().unwrap());
     let reader = Reader::open(&archive.folder.path().join("archive.db"), "callisto").unwrap();
     let around = reader.around(&device, "WindSpeed", at(301)).unwrap();
-    assert_eq!(around.before.map(|sample| sample.at), Some(at(299)));
+    assert_eq!(around.before.first().map(|sample| sample.at), Some(at(299)));
 }

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use rusqlite::{Connection, OpenFlags};
 use rusqlite_migration::{M, Migrations};
 
-use super::whole_file::{self, with_ending};
-use super::{DatabaseError, guiding, happenings, owner, rows, streams, telemetry, views};
+use super::{DatabaseError, guiding, happenings, owner, rows, streams, telemetry, views, whole_file};
 
 /// What each version adds. The number of a version stands in the file as `PRAGMA user_version`. A step that sites have
 /// run stays as it is; changes come as a step more.
@@ -69,7 +68,7 @@ pub(super) fn version(connection: &Connection) -> rusqlite::Result<i64> {
     connection.query_row("PRAGMA user_version", [], |row| row.get(0))
 }
 
-/// Copies the whole database to `NAME.version-N`, or to the next name like it that no older copy has. What was copied
+/// Copies the whole database to `NAME.version-N-1`, or to the next name like it that no older copy has. What was copied
 /// already and has not changed is not copied again: a start that fails may be tried often.
 fn keep_copy(connection: &Connection, path: &Path, found: i64) -> Result<PathBuf, DatabaseError> {
     let now = last_rows(connection).ok();
@@ -77,15 +76,11 @@ fn keep_copy(connection: &Connection, path: &Path, found: i64) -> Result<PathBuf
         let opened = Connection::open_with_flags(copy, OpenFlags::SQLITE_OPEN_READ_ONLY);
         opened.and_then(|copy| last_rows(&copy)).is_ok_and(|rows| Some(rows) == now)
     };
-    let (mut copy, mut number) = (with_ending(path, &format!(".version-{found}")), 1);
-    while copy.exists() {
-        if is_copy(&copy) {
-            return Ok(copy);
-        }
-        number += 1;
-        copy = with_ending(path, &format!(".version-{found}-{number}"));
+    let copy = whole_file::free_or(path, &format!("version-{found}"), is_copy)
+        .map_err(|source| DatabaseError::Io { file: path.to_owned(), source })?;
+    if !copy.exists() {
+        whole_file::copy(connection, &copy)?;
     }
-    whole_file::copy(connection, &copy)?;
     Ok(copy)
 }
 
@@ -116,7 +111,7 @@ mod tests {
         let keep = || keep_copy(&connection, &path, 1).unwrap();
         log("May");
         let first = keep();
-        assert_eq!((first.clone(), keep()), (folder.path().join("archive.db.version-1"), first.clone()));
+        assert_eq!((first.clone(), keep()), (folder.path().join("archive.db.version-1-1"), first.clone()));
         // An older Starmesh went on with it for months.
         log("September");
         let second = keep();

@@ -187,10 +187,10 @@ async fn a_database_of_version_4_keeps_every_value_and_a_copy_of_itself() {
     let now = rusqlite::Connection::open(&path).unwrap();
     let after: Vec<Row> = all(&now).into_iter().filter(|row| row.2.as_str() > "2026-11-21 03").collect();
     assert_eq!(after, before);
-    assert_eq!(all(&rusqlite::Connection::open(folder.path().join("archive.db.version-4")).unwrap()), before);
+    assert_eq!(all(&rusqlite::Connection::open(folder.path().join("archive.db.version-4-1")).unwrap()), before);
     let reader = Reader::open(&path, "callisto").unwrap();
     let instant = "2026-11-21T03:12:46Z".parse().unwrap();
-    let around = |property: &str| reader.around(&station(), property, instant).unwrap().before.unwrap().value;
+    let around = |property: &str| reader.around(&station(), property, instant).unwrap().before.remove(0).value;
     assert_eq!(around("WindGust"), Scalar::Float(12.25));
     assert_eq!(around("Safe"), Scalar::Bool(true));
     assert_eq!(around("Names"), Scalar::List(vec![Scalar::Text("R".to_owned()), Scalar::Int(1)]));

@@ -1,10 +1,8 @@
 //! Rows in, rows out.
 
-use std::collections::BTreeMap;
-
 use bus::Clock;
 use contract::archive::{ArchiveQuestion, ArchiveRow, Ask};
-use contract::device::camera::{Frame, Pixel, Purpose};
+use contract::device::camera::{Frame, Purpose};
 use contract::node::Level;
 use contract::observatory::{FrameFacts, Unsolved, UnsolvedClass};
 use contract::{Address, BootId, CommandId, Device, Kind, Scalar};
@@ -32,21 +30,12 @@ fn reading(second: i64, value: Result<Scalar, String>) -> Write {
 
 fn image(id: &str, object: &str) -> StoredImage {
     let frame = Frame {
-        id: CommandId(id.to_owned()),
-        camera: "andor".to_owned(),
         purpose: Purpose { object: Some(object.to_owned()), ..Purpose::default() },
-        width_px: 1,
-        height_px: 1,
-        planes: 1,
-        pixel: Pixel::U16,
-        bin: 1,
-        origin_px: [0, 0],
         started_utc: at(0),
         exposure_s: 1.0,
         url: "http://spool/?token=secret".to_owned(),
-        bytes: 2,
         sha256: "ab".to_owned(),
-        readings: BTreeMap::new(),
+        ..test_support::frame(id)
     };
     StoredImage { frame, file: format!("{id}.fits"), bytes: 5760, stored: at(2) }
 }
@@ -97,12 +86,15 @@ async fn a_reading_counts_once_and_keeps_its_type() {
     assert_eq!(read[6], None);
 
     let around = reader.around(&device(), "Altitude", at(1)).unwrap();
-    assert_eq!((around.before.unwrap().value, around.after.unwrap().value), (Scalar::Float(2.0), Scalar::Float(1e-7)));
+    assert_eq!((&around.before[0].value, &around.after[0].value), (&Scalar::Float(2.0), &Scalar::Float(1e-7)));
+    assert_eq!((around.before.len(), around.after.len(), &around.after[1].value), (1, 2, &Scalar::Int(3)));
+    let polls = reader.polls(&device(), "Altitude", (at(1), at(2))).unwrap();
+    assert_eq!(polls.iter().map(|poll| poll.at).collect::<Vec<_>>(), [at(1), at(2)]);
     let around = reader.around(&device(), "Altitude", at(6)).unwrap();
-    assert!(around.after.is_none() && around.received_since, "it was received, with no value");
+    assert!(around.after.is_empty() && around.received_since, "it was received, with no value");
     assert!(!reader.around(&device(), "Altitude", at(7)).unwrap().received_since);
     let shared = device().address.shared().device(Kind::Telescope, &device().name);
-    assert!(reader.around(&shared, "Altitude", at(1)).unwrap().before.is_none(), "another telescope's");
+    assert!(reader.around(&shared, "Altitude", at(1)).unwrap().before.is_empty(), "another telescope's");
     drop(database);
     writer.end().await;
 }

@@ -1,6 +1,8 @@
 //! Views for people and their programs: typed columns, times that say their zone, angles on the sky in arcsec, and one meaning
 //! per name of a column.
 
+use super::guiding::holding;
+
 /// The square root of a term, by sixteen of Newton's steps: many builds of SQLite have no `sqrt`. Exact for angles of 1 mas to 100
 /// arcsec.
 macro_rules! root {
@@ -46,11 +48,14 @@ CREATE VIEW guiding_errors AS
             AND scales.bin IS json_extract(images.frame, '$.bin');
 CREATE VIEW frames AS
     WITH errors AS (
-        SELECT images.frame_id, avg(ra_error_arcsec * ra_error_arcsec) AS ra2, avg(dec_error_arcsec * dec_error_arcsec) AS dec2
-        FROM images JOIN guiding_errors ON guiding_errors.telescope = images.telescope
-            AND mid_utc >= replace(date_obs, ' ', 'T')
-            AND mid_utc <= strftime('%Y-%m-%dT%H:%M:%f', date_obs, json_extract(frame, '$.exposure_s') || ' seconds') || 'Z'
-        GROUP BY images.frame_id
+        SELECT held.frame_id, avg(ra_error_arcsec * ra_error_arcsec) AS ra2, avg(dec_error_arcsec * dec_error_arcsec) AS dec2
+        FROM (",
+    holding!(
+        "(SELECT frame_id, telescope, camera_name, date_obs AS begins, strftime('%Y-%m-%d %H:%M:%f', date_obs,
+            json_extract(frame, '$.exposure_s') || ' seconds') || '999' AS ends FROM images)"
+    ),
+    ") AS held JOIN guiding_errors ON guiding_errors.frame_id = held.guide_id
+        GROUP BY held.frame_id
     )
     SELECT images.frame_id, images.telescope, images.camera_name AS camera, images.file, images.night, images.object,
         images.filter, images.image_type, CAST(json_extract(frame, '$.purpose.programme') AS TEXT) AS programme,

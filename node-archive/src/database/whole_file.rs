@@ -47,8 +47,13 @@ fn remove(file: &Path) -> io::Result<()> {
 
 /// `NAME.WORD-1`, or the next number that is free.
 pub(super) fn free_name(path: &Path, word: &str) -> io::Result<PathBuf> {
-    let names = (1..).map(|number| with_ending(path, &format!(".{word}-{number}")));
-    names.into_iter().find(|name| !name.exists()).ok_or_else(|| io::Error::from(io::ErrorKind::AlreadyExists))
+    free_or(path, word, |_| false)
+}
+
+/// The same, or the first name of what is there already and suits.
+pub(super) fn free_or(path: &Path, word: &str, suits: impl Fn(&Path) -> bool) -> io::Result<PathBuf> {
+    let mut names = (1..).map(|number| with_ending(path, &format!(".{word}-{number}")));
+    names.find(|name| !name.exists() || suits(name)).ok_or_else(|| io::Error::from(io::ErrorKind::AlreadyExists))
 }
 
 pub(super) fn with_ending(path: &Path, ending: &str) -> PathBuf {

@@ -3,9 +3,10 @@
 //! Each destination is read again just before, every file. A file stays when any destination does not have its bytes, when the
 //! archive's own file has changed since, and when no destination on another disk has it. Before a file goes it gets another
 //! name, and every destination is asked once more: a destination that only leads back to the folder of images does not
-//! have it then, and the file gets its name back.
+//! have it then, and the file gets its name back. Where the folder of a night is not there, its disk may be away: nothing
+//! is removed then, and nothing counts as removed.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -20,7 +21,7 @@ use super::manifest::ManifestFile;
 use super::record::{DeliveryTurn, Record, set_of, take_turn};
 use super::selection::Wanted;
 use super::verify::verify;
-use crate::folder::{is_taken, without_links};
+use crate::folder::{PART_FOLDER, is_here, is_taken, without_links};
 use crate::night::{Night, NightFrame};
 use crate::reader::Reader;
 
@@ -86,11 +87,20 @@ struct Leaving {
 /// Removes the files of a night that every destination has.
 ///
 /// # Errors
-/// A destination cannot be read, or does not have what its manifest lists: nothing is removed then.
+/// The folder of the night is not there, a destination cannot be read, or it does not have what its manifest lists: nothing
+/// is removed then.
 pub async fn remove(config: &Observatory, night: &Night, database: &Path) -> anyhow::Result<Removed> {
     let (file, of, telescope) = (database.to_owned(), *night, config.place.telescope.clone());
     let frames = move || Reader::open(&file, telescope.as_str())?.frames(of.from, of.to);
     let frames: Vec<NightFrame> = tokio::task::spawn_blocking(frames).await??;
+    // Telescopes that share a database each remove what their own cameras took.
+    let is_own = |frame: &&NightFrame| {
+        let camera = &frame.image.frame.camera;
+        config.camera.is_empty() || config.camera.iter().any(|own| own.common.name.as_str() == camera)
+    };
+    let paths = frames.iter().filter(is_own).map(|frame| frame.image.path(&config.folders.images));
+    let folders: BTreeSet<PathBuf> = paths.filter_map(|path| path.parent().map(Path::to_owned)).collect();
+    all_here(&config.folders.images, &folders)?;
     for frame in &frames {
         // A kill between the two names leaves the other one.
         let path = frame.image.path(&config.folders.images);
@@ -124,11 +134,6 @@ pub async fn remove(config: &Observatory, night: &Night, database: &Path) -> any
         proven.push(Proven { delivery, wanted, destination, is_elsewhere, files, _turn: turn });
     }
     let mut removed = Removed::default();
-    // Telescopes that share a database each remove what their own cameras took.
-    let is_own = |frame: &&NightFrame| {
-        let camera = &frame.image.frame.camera;
-        config.camera.is_empty() || config.camera.iter().any(|own| own.common.name.as_str() == camera)
-    };
     let leaving: Vec<Leaving> =
         frames.iter().filter(is_own).filter_map(|frame| leaving(config, frame, &proven)).collect();
     removed.staying = frames.len() - leaving.len();
@@ -138,10 +143,23 @@ pub async fn remove(config: &Observatory, night: &Night, database: &Path) -> any
         still_there(batch, &proven).await?;
         hidden.remove(&mut removed)?;
     }
+    // The disk may have gone meanwhile.
+    all_here(&config.folders.images, &folders)?;
     // What stays now stays: no destination asks for it, or its header has changed. The night is not read again for it.
     let set = set_of(frames.iter().map(|frame| &frame.image.frame.id));
     Record::read(config, REMOVALS, night)?.removed(&set)?;
     Ok(removed)
+}
+
+/// Proves that the folder of images and these folders in it are there.
+fn all_here(images: &Path, folders: &BTreeSet<PathBuf>) -> anyhow::Result<()> {
+    let own = (!is_here(images)).then(|| images.join(PART_FOLDER));
+    let Some(away) = own.or_else(|| folders.iter().find(|folder| !folder.is_dir()).cloned()) else { return Ok(()) };
+    bail!(
+        "the folder {} is not there: its disk may be away. Mount it; if somebody removed the folder or moved it elsewhere, make \
+         an empty one of this name, and the night counts as removed",
+        away.display()
+    )
 }
 
 /// A frame whose file may go; absent where it stays.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use bus::Clock;
 use config::Observatory;
 use contract::CommandId;
-use contract::device::camera::{Frame, Pixel, Purpose};
+use contract::device::camera::{Frame, Purpose};
 use node::NodeAlerts;
 use units::Utc;
 
@@ -16,6 +16,7 @@ use super::removal;
 use super::run::{Delivered, Run};
 use super::verify::verify;
 use crate::database::{Database, StoredImage, Write};
+use crate::folder::PART_FOLDER;
 use crate::night::Night;
 
 mod attacks;
@@ -36,7 +37,7 @@ impl Site {
     fn new(destinations: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let config = config::parse(&format!("{PLACE}{destinations}"), folder.path()).unwrap();
-        fs::create_dir_all(&config.folders.images).unwrap();
+        fs::create_dir_all(config.folders.images.join(PART_FOLDER)).unwrap();
         Self { folder, config }
     }
 
@@ -76,21 +77,12 @@ impl Site {
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(&path, vec![*number as u8; 1_000_000 + *number as usize]).unwrap();
             let mut frame = Frame {
-                id: id.clone(),
                 camera: "main".to_owned(),
                 purpose: Purpose { image_type: (*kind).to_owned(), action: "object".to_owned(), ..Purpose::default() },
-                width_px: 1,
-                height_px: 1,
-                planes: 1,
-                pixel: Pixel::U16,
-                bin: 1,
-                origin_px: [0, 0],
                 started_utc: at(i64::from(*number)),
                 exposure_s: 1.0,
-                url: String::new(),
-                bytes: 2,
                 sha256: "ab".to_owned(),
-                readings: Default::default(),
+                ..test_support::frame(&id.0)
             };
             change(&mut frame);
             let bytes = fs::metadata(&path).unwrap().len();
@@ -322,6 +314,31 @@ async fn files_leave_the_archive_only_for_a_destination_on_another_disk_that_has
     let done = site.deliver().await;
     assert_eq!((done.sent, done.there, done.faults.len()), (0, 2, 0), "{done:?}");
     assert_eq!(site.verify().await.gone_here, 1);
+}
+
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread")]
+async fn a_night_whose_disk_is_away_is_not_one_whose_files_have_left() {
+    let elsewhere = tempfile::tempdir_in("/dev/shm").unwrap();
+    let folder = elsewhere.path().display();
+    let site = Site::new(&format!("[[delivery]]\nname = \"s\"\ndirectory = \"{folder}\"\n"));
+    site.store(&[(1, "light")], true).await;
+    site.deliver().await;
+    let (images, away) = (site.config.folders.images.clone(), site.path("away"));
+    let (database, late) = (site.config.archive.database.clone(), site.night().to.plus_seconds(87_000.0));
+    let left = async || removal::nights(&site.config, &database, late, 1).await.unwrap().len();
+    fs::rename(&images, &away).unwrap();
+    // Nothing, then a mount point, then what an archive makes that is started meanwhile.
+    for (made, missing) in [(None, ".part"), (Some(&images), ".part"), (Some(&images.join(PART_FOLDER)), "20261121")] {
+        made.map_or(Ok(()), fs::create_dir).unwrap();
+        let why = format!("{:#}", site.remove().await.unwrap_err());
+        assert!(why.contains(missing) && why.contains("its disk may be away"), "{why}");
+        assert_eq!(left().await, 1, "it is looked at again");
+    }
+    fs::remove_dir_all(&images).unwrap();
+    fs::rename(&away, &images).unwrap();
+    let removed = site.remove().await.unwrap();
+    assert_eq!((removed.files, removed.staying, left().await), (1, 0, 0));
 }
 
 #[cfg(target_os = "linux")]

@@ -87,21 +87,13 @@ impl Site {
 
 fn frame(id: &str) -> Frame {
     Frame {
-        id: CommandId(id.to_owned()),
-        camera: "andor".to_owned(),
         purpose: Purpose { image_type: "Light Frame".to_owned(), night: "20261120".to_owned(), ..Purpose::default() },
         width_px: SIDE,
         height_px: SIDE,
-        planes: 1,
-        pixel: Pixel::U16,
-        bin: 1,
-        origin_px: [0, 0],
         started_utc: at(0.0),
         exposure_s: 1.0,
-        url: String::new(),
-        bytes: 2,
         sha256: "ab".to_owned(),
-        readings: Default::default(),
+        ..test_support::frame(id)
     }
 }
 

@@ -2,15 +2,12 @@
 
 use std::path::Component;
 
-use contract::CommandId;
-use contract::device::camera::{Pixel, Purpose};
+use contract::device::camera::Purpose;
 
 use super::*;
 
 fn frame() -> Frame {
     Frame {
-        id: CommandId("f1".to_owned()),
-        camera: "andor".to_owned(),
         purpose: Purpose {
             action: "object".to_owned(),
             object: Some("TRAPPIST-1".to_owned()),
@@ -20,18 +17,9 @@ fn frame() -> Frame {
             sequence: 3,
             ..Purpose::default()
         },
-        width_px: 2,
-        height_px: 2,
-        planes: 1,
-        pixel: Pixel::U16,
-        bin: 1,
-        origin_px: [0, 0],
         started_utc: written(),
         exposure_s: 30.0,
-        url: String::new(),
-        bytes: 8,
-        sha256: String::new(),
-        readings: BTreeMap::new(),
+        ..test_support::frame("f1")
     }
 }
 

@@ -1,11 +1,10 @@
 //! A small archive of two nights, and what is found in it.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use bus::Clock;
 use contract::archive::{ArchiveQuestion, ArchiveRow, Ask};
-use contract::device::camera::{Frame, Pixel, Purpose};
+use contract::device::camera::{Frame, Purpose};
 use contract::frame_search::{CalibrationFrame, FrameSearch, SkyPlace};
 use contract::observatory::{Distortion, FrameFacts, FrameWcs};
 use contract::{BootId, CommandId};
@@ -28,21 +27,14 @@ fn at(seconds: f64) -> Utc {
 /// A frame of a night; the id says which.
 fn frame(id: &str, (night, seconds): (&str, f64), purpose: Purpose, exposure_s: f64) -> Frame {
     Frame {
-        id: CommandId(id.to_owned()),
-        camera: "andor".to_owned(),
         purpose: Purpose { night: night.to_owned(), ..purpose },
         width_px: 1000,
         height_px: 500,
-        planes: 1,
-        pixel: Pixel::U16,
-        bin: 1,
-        origin_px: [0, 0],
         started_utc: at(seconds),
         exposure_s,
-        url: String::new(),
         bytes: 1_000_000,
         sha256: "ab".to_owned(),
-        readings: BTreeMap::new(),
+        ..test_support::frame(id)
     }
 }
 

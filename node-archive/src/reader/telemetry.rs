@@ -2,13 +2,12 @@
 
 use contract::archive::{ArchiveRow, Gap, MOST_PROPERTIES, Series, SeriesName, SeriesPoint};
 use contract::{Device, Scalar};
-use rusqlite::{OptionalExtension as _, params};
+use rusqlite::{ToSql, params};
 use units::Utc;
 
 use super::Reader;
 use crate::database::{DatabaseError, MINUTE_US, scalar};
-use crate::header::Around;
-use crate::interpolate::Sample;
+use crate::interpolate::{Around, Rest, Sample};
 
 /// Points of one answer, all properties together.
 const MOST_POINTS: usize = 30_000;
@@ -32,34 +31,41 @@ struct Piece {
 }
 
 impl Reader {
-    /// The polls of a property around an instant.
+    /// The polls of a property around an instant; what is known of its device's moves is not looked for.
     pub fn around(&self, device: &Device, property: &str, at: Utc) -> Result<Around, DatabaseError> {
-        let look = || -> rusqlite::Result<Around> {
-            let name = params![device.kind.ascom(), device.name.as_str(), property, device.address.telescope.as_str()];
-            let series: Option<i64> = self
-                .connection
-                .prepare_cached(
-                    "SELECT id FROM series WHERE device_type = ? AND device_name = ? AND device_command = ? AND telescope = ?",
-                )?
-                .query_row(name, |row| row.get(0))
-                .optional()?;
-            let Some(series) = series else { return Ok(Around::default()) };
-            let find = |condition: &str| {
-                let sql =
-                    format!("SELECT at_us, value_type, value FROM samples WHERE series = ?1 AND {condition} LIMIT 1");
-                let mut statement = self.connection.prepare_cached(&sql)?;
-                let found = statement.query_row([series, at.micros()], |row| {
-                    let at = Utc::from_micros(row.get(0)?);
-                    Ok(scalar(row, 1, 2)?.map(|value| Sample { at, value }))
-                });
-                found.optional()
-            };
-            let before = find("at_us < ?2 AND value_type <> 0 AND value IS NOT NULL ORDER BY at_us DESC")?.flatten();
-            let after = find("at_us >= ?2 AND value_type <> 0 AND value IS NOT NULL ORDER BY at_us")?.flatten();
-            let received_since = after.is_some() || find("at_us >= ?2")?.is_some();
-            Ok(Around { before, after, received_since })
-        };
-        look().map_err(|source| self.failed(source))
+        let Some(series) = self.series_of(device, property)? else { return Ok(Around::default()) };
+        let find = |condition: &str| self.samples(condition, params![series, at.micros()]);
+        let before = find("at_us < ?2 AND value_type <> 0 AND value IS NOT NULL ORDER BY at_us DESC LIMIT 2")?;
+        let after = find("at_us >= ?2 AND value_type <> 0 AND value IS NOT NULL ORDER BY at_us LIMIT 2")?;
+        let received = "SELECT EXISTS (SELECT 1 FROM samples WHERE series = ? AND at_us >= ?)";
+        let is_received = || self.list(received, params![series, at.micros()], |row| row.get::<_, bool>(0));
+        let received_since = !after.is_empty() || is_received()?.contains(&true);
+        Ok(Around { before, after, received_since, rest: Rest::default() })
+    }
+
+    /// The values of a property in a time, in its order.
+    pub fn polls(&self, device: &Device, property: &str, (from, to): (Utc, Utc)) -> Result<Vec<Sample>, DatabaseError> {
+        let Some(series) = self.series_of(device, property)? else { return Ok(Vec::new()) };
+        let condition = "at_us >= ?2 AND at_us <= ?3 AND value_type <> 0 AND value IS NOT NULL ORDER BY at_us";
+        self.samples(condition, params![series, from.micros(), to.micros()])
+    }
+
+    /// The number of the series of a device's property.
+    fn series_of(&self, device: &Device, property: &str) -> Result<Option<i64>, DatabaseError> {
+        let sql = "SELECT id FROM series
+                   WHERE device_type = ? AND device_name = ? AND device_command = ? AND telescope = ?";
+        let name = params![device.kind.ascom(), device.name.as_str(), property, device.address.telescope.as_str()];
+        Ok(self.list(sql, name, |row| row.get(0))?.pop())
+    }
+
+    /// The values of a series, by a condition on them; the series is the first parameter.
+    fn samples(&self, condition: &str, of: &[&dyn ToSql]) -> Result<Vec<Sample>, DatabaseError> {
+        let sql = format!("SELECT at_us, value_type, value FROM samples WHERE series = ?1 AND {condition}");
+        let samples = self.list(&sql, of, |row| {
+            let at = Utc::from_micros(row.get(0)?);
+            Ok(scalar(row, 1, 2)?.map(|value| Sample { at, value }))
+        })?;
+        Ok(samples.into_iter().flatten().collect())
     }
 
     /// The newest values of a property in a time, the newest first.

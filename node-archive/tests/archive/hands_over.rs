@@ -5,7 +5,7 @@ use std::fs;
 use bus::Clock;
 use contract::CommandId;
 use contract::Role;
-use contract::device::camera::{Frame, Pixel, Purpose};
+use contract::device::camera::{Frame, Purpose};
 use node::{Node, NodeAlerts};
 use node_archive::database::{Database, StoredImage, Write};
 use test_support::{PARANAL, RunningNode, private_bus, until};
@@ -13,21 +13,12 @@ use units::Utc;
 
 fn frame(id: &str, started_utc: Utc) -> Frame {
     Frame {
-        id: CommandId(id.to_owned()),
         camera: "main".to_owned(),
         purpose: Purpose { image_type: "light".to_owned(), action: "object".to_owned(), ..Purpose::default() },
-        width_px: 1,
-        height_px: 1,
-        planes: 1,
-        pixel: Pixel::U16,
-        bin: 1,
-        origin_px: [0, 0],
         started_utc,
         exposure_s: 1.0,
-        url: String::new(),
-        bytes: 2,
         sha256: "ab".to_owned(),
-        readings: Default::default(),
+        ..test_support::frame(id)
     }
 }
 

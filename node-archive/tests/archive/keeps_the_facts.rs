@@ -8,7 +8,7 @@ use axum::routing::get;
 use bus::{Bus, Catch, Clock, Publisher, Subscriber};
 use config::header::HeaderTable;
 use contract::archive::Stored;
-use contract::device::camera::{Frame, Pixel, Purpose};
+use contract::device::camera::{Frame, Purpose};
 use contract::observatory::{Distortion, FrameFacts, FrameWcs};
 use contract::{Address, CommandId, Key, Kind, Role};
 use node::Node;
@@ -36,21 +36,15 @@ async fn spool() -> String {
 
 fn frame(id: &str, url: &str, bus: &Bus) -> Frame {
     Frame {
-        id: CommandId(id.to_owned()),
-        camera: "andor".to_owned(),
         purpose: Purpose { image_type: "Light Frame".to_owned(), night: "20261120".to_owned(), ..Purpose::default() },
         width_px: 64,
         height_px: 32,
-        planes: 1,
-        pixel: Pixel::U16,
-        bin: 1,
-        origin_px: [0, 0],
         started_utc: bus.clock().utc(),
         exposure_s: 0.5,
         url: url.to_owned(),
         bytes: PIXELS.len() as u64,
         sha256: Sha256::digest(PIXELS).iter().map(|byte| format!("{byte:02x}")).collect(),
-        readings: Default::default(),
+        ..test_support::frame(id)
     }
 }
 

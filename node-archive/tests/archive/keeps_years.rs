@@ -111,7 +111,7 @@ async fn a_database_of_before_is_brought_up_to_date_copied_and_thinned_and_its_g
     let count = |sql: &str| rows.query_row(sql, [], |row| row.get::<_, i64>(0)).unwrap();
     assert!(count("SELECT count(*) FROM samples") <= 48);
     assert_eq!(count("SELECT count(*) FROM minutes"), 120);
-    let old = Connection::open(folder.path().join("data/archive.db.version-1")).unwrap();
+    let old = Connection::open(folder.path().join("data/archive.db.version-1-1")).unwrap();
     assert_eq!(old.query_row("SELECT count(*) FROM polling", [], |row| row.get::<_, i64>(0)).unwrap(), 120);
 
     // What is polled now comes on top, and the bus is answered from both.
@@ -163,7 +163,7 @@ async fn a_database_of_before_is_brought_up_to_date_copied_and_thinned_and_its_g
     };
     tokio::time::timeout(LIMIT, again).await.unwrap();
     assert_eq!(copies(), 1);
-    assert!(!folder.path().join("data/archive.db.version-7").exists());
+    assert!(!folder.path().join("data/archive.db.version-7-1").exists());
     running.stop().await;
 }
 

@@ -7,13 +7,15 @@
 //! raises an alert.
 //!
 //! `interlock::watch` and `interlock::Closer` decide (pure), `closer` does, `leaving` closes what the configuration
-//! names no more, `starting` asks the disk, `copy` and `places` remember, `link` is the line between both processes.
+//! names no more, `starting` asks the disk, `copy` and `places` remember, `link` is the line between both processes,
+//! `complaint` decides when people are told, and `herald` tells them.
 
 pub mod copy;
 pub mod link;
 pub mod places;
 
 mod closer;
+mod complaint;
 mod disk;
 mod herald;
 mod leaving;
@@ -21,6 +23,7 @@ mod signals;
 mod starting;
 mod task;
 
+pub use complaint::RESTART;
 pub use task::main;
 
 use node::NodeOptions;

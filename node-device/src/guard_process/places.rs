@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use bus::MachineTime;
 use interlock::{Before, Deadlines, nanos};
+use node::kernel_boot_id;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
@@ -75,6 +76,27 @@ impl Places {
         if let Some(file) = self.last_words() {
             // Mostly there is none.
             let _ = fs::remove_file(file);
+        }
+    }
+
+    /// Notes that alerts of the guard process are on the bus: when it has died, the next one takes them back. Blocks.
+    pub fn note_alerts(&self) {
+        for path in self.paths("alerts") {
+            // Where no file can be written, a person acknowledges what is left.
+            let _ = write(&path, b"", true);
+        }
+    }
+
+    /// Are there alerts of a guard process on the bus that has died? Blocks.
+    pub fn has_alerts(&self) -> bool {
+        self.paths("alerts").any(|path| path.exists())
+    }
+
+    /// There are no such alerts any more. Blocks.
+    pub fn forget_alerts(&self) {
+        for path in self.paths("alerts") {
+            // Mostly there is only one.
+            let _ = fs::remove_file(path);
         }
     }
 
@@ -157,11 +179,6 @@ fn state_folder() -> Option<PathBuf> {
     Some(base.join("starmesh"))
 }
 
-/// Which start of the kernel this is; empty where the system has no such id.
-fn kernel_boot_id() -> String {
-    fs::read_to_string("/proc/sys/kernel/random/boot_id").map(|text| text.trim().to_owned()).unwrap_or_default()
-}
-
 fn read(path: &Path) -> Option<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path).ok()?.take(MOST_BYTES + 1).read_to_end(&mut bytes).ok()?;
@@ -231,6 +248,19 @@ mod tests {
         let other = "{\"kernel_boot_id\":\"another\",\"written_ns\":1,\"open_until_ns\":{\"d\":99}}";
         fs::write(folder.path().join("x.countdown"), other).unwrap();
         assert_eq!(places.countdown(), Before::OtherBoot);
+    }
+
+    #[test]
+    fn that_there_are_alerts_is_known_to_the_next_guard_process_wherever_it_can_be_noted() {
+        let folder = tempfile::tempdir().unwrap();
+        let in_the_way = folder.path().join("file");
+        fs::write(&in_the_way, "").unwrap();
+        let places = Places::in_folders(&[&in_the_way, folder.path()]);
+        assert!(!places.has_alerts());
+        places.note_alerts();
+        assert!(places.clone().has_alerts());
+        places.forget_alerts();
+        assert!(!places.has_alerts());
     }
 
     #[test]

@@ -16,6 +16,7 @@ use tokio::process::{Child, ChildStdin};
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::closer::Closer;
+use super::complaint::{Complaint, News};
 use super::copy::{Copy, DomeCopy};
 use super::disk::{self, Written};
 use super::herald::Herald;
@@ -25,8 +26,6 @@ use super::places::Places;
 use super::signals::{EndRequest, Signals, lock};
 use super::starting::{self, Ready};
 
-/// A complaint is repeated in the log so often while its reason lasts.
-const COMPLAIN: Duration = Duration::from_secs(60);
 /// A configuration that could not be read is read again so often.
 const READ_AGAIN: Duration = Duration::from_secs(2);
 /// A parent that has died is no order: what is open is closed, but nobody waits for it for long.
@@ -100,7 +99,7 @@ struct Work<'a> {
     lines: NodeLines,
     /// Why the node does not run as it should.
     error: Option<String>,
-    complaint: Option<(String, Instant)>,
+    complaint: Complaint,
     /// Domes that this process looks after at present.
     acts_for: Vec<String>,
     read_at: Option<Instant>,
@@ -123,6 +122,10 @@ impl<'a> Work<'a> {
             .map(|dome| (dome.name.to_string(), dome.permit_valid()))
             .collect();
         places.forget_last_words();
+        let mut herald = Herald::new(id, options, &places);
+        if let Some(copy) = known {
+            herald.take_back(copy);
+        }
         let before = places.countdown();
         if !matches!(before, Before::Nothing) {
             tracing::info!(?before, "the countdown goes on with the value on disk");
@@ -140,12 +143,12 @@ impl<'a> Work<'a> {
             leaving,
             unsaved: false,
             asking: None,
-            herald: Herald::new(id, options),
+            herald,
             node: None,
             orders: None,
             lines: None,
             error: None,
-            complaint: None,
+            complaint: Complaint::default(),
             acts_for: Vec::new(),
             read_at: None,
             end_by: None,
@@ -383,52 +386,52 @@ impl<'a> Work<'a> {
         self.acts_for = acts_for;
     }
 
-    /// Logs and publishes why the device node does not guard, at once and then each minute, and when it does again.
+    /// Logs and publishes why the device node does not guard, again each minute, and when it does again.
     fn complain(&mut self) {
         let now = self.clock.machine();
         let names: Vec<String> = self.watch.deadlines().keys().cloned().collect();
         let guards =
             !names.is_empty() && names.iter().all(|name| matches!(self.watch.who(name, now), Who::Node | Who::Both));
-        if guards || self.end_by.is_some() {
-            if self.complaint.take().is_some() {
-                // No room in the queue: the file is removed at the next start.
-                let _ = self.disk.try_send(Written::NoLastWords);
-                tracing::info!(domes = self.names(), "the device node guards again");
-                if let Some(copy) = known(&self.good, &self.tried) {
-                    for name in &names {
-                        self.herald.report(copy, AlertKind::GuardProcess, name, None);
-                    }
-                }
+        let news = if self.end_by.is_some() {
+            self.complaint.end()
+        } else {
+            self.complaint.next(guards, self.error.as_deref(), self.watch.failures() > 1, now)
+        };
+        match news {
+            Some(News::Over) => self.take_back(&names),
+            Some(News::Fault) => self.report_fault(&names),
+            None => {}
+        }
+    }
+
+    fn take_back(&mut self, names: &[String]) {
+        // No room in the queue: the file is removed at the next start.
+        let _ = self.disk.try_send(Written::NoLastWords);
+        tracing::info!(domes = self.names(), "the device node guards again");
+        if let Some(copy) = known(&self.good, &self.tried) {
+            for name in names {
+                self.herald.report(copy, AlertKind::GuardProcess, name, None);
             }
-            return;
         }
-        // One short restart is nobody's business.
-        let is_known = self.watch.failures() > 1 || self.tried.is_none() || !self.acts_for.is_empty();
-        let Some(error) = self.error.clone().filter(|_| is_known) else { return };
-        let is_reported =
-            self.complaint.as_ref().is_some_and(|(reported, at)| *reported == error && at.elapsed() < COMPLAIN);
-        if is_reported {
-            return;
-        }
-        let names_text = self.names();
+    }
+
+    fn report_fault(&mut self, names: &[String]) {
+        let (error, names_text) = (self.error.as_deref().unwrap_or_default(), self.names());
         if self.closers.is_empty() {
             tracing::error!(
                 "NOBODY GUARDS {names_text}: {error}; and no copy of a configuration that worked exists: close the dome \
                  by hand, then mend the configuration"
             );
-        } else {
-            let what =
-                if self.acts_for.is_empty() { "closes it when its permit has run out" } else { "keeps it closed" };
-            tracing::error!("the device node of {names_text} does not guard: {error}; the guard process {what}");
-            if let Some(copy) = known(&self.good, &self.tried) {
-                for name in &names {
-                    let cause =
-                        format!("the device node of dome {name} does not guard: {error}; the guard process {what}");
-                    self.herald.report(copy, AlertKind::GuardProcess, name, Some(cause));
-                }
+            return;
+        }
+        let what = if self.acts_for.is_empty() { "closes it when its permit has run out" } else { "keeps it closed" };
+        tracing::error!("the device node of {names_text} does not guard: {error}; the guard process {what}");
+        if let Some(copy) = known(&self.good, &self.tried) {
+            for name in names {
+                let cause = format!("the device node of dome {name} does not guard: {error}; the guard process {what}");
+                self.herald.report(copy, AlertKind::GuardProcess, name, Some(cause));
             }
         }
-        self.complaint = Some((error, Instant::now()));
     }
 
     /// Writes the countdown each second, and at once when it is cut short.

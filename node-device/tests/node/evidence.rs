@@ -5,11 +5,11 @@ use std::time::Duration;
 use bus::Clock;
 use contract::Kind;
 use contract::device::observing_conditions::{Fields, ObservingConditions};
-use contract::device::record::{RecordQuestion, StateRecord};
-use contract::device::safety_monitor::SafetyMonitor;
+use contract::device::record::{RecordQuestion, StateEntry, StateRecord};
+use contract::device::safety_monitor::{self, SafetyMonitor};
 use contract::{DeviceState, Key, Link};
 use serde_json::json;
-use test_support::{LIMIT, block};
+use test_support::{LIMIT, block, within};
 
 use crate::fake::{Fake, FakeAnswer};
 use crate::stage::Stage;
@@ -18,8 +18,7 @@ use crate::stage::Stage;
 async fn a_weather_stations_record_is_what_was_received_from_it() {
     let hardware = Fake::start(&[("humidity", json!(50.0)), ("temperature", json!(5.0))]).await;
     let booted = Clock::machine_clock().machine();
-    let device = |kind: &str, name: &str| block(kind, name, hardware.address, "period_s = 0.2");
-    let stage = Stage::start(&(device("observingconditions", "wx") + &device("safetymonitor", "monitor"))).await;
+    let stage = Stage::start(&block("observingconditions", "wx", hardware.address, "period_s = 0.2")).await;
     let states = stage.states::<ObservingConditions>("wx").await;
     let mut received = Vec::new();
     let mut recv_until = async |wanted: fn(&Link, &Fields) -> bool| {
@@ -72,9 +71,36 @@ async fn a_weather_stations_record_is_what_was_received_from_it() {
     assert!(short.entries.len() <= 2 && short.entries.last().unwrap().seq >= record.entries.last().unwrap().seq);
     let nonsense: StateRecord<Fields> = stage.bus.ask(&key, &json!({"back_s": "long"}), LIMIT).await.unwrap();
     assert!(nonsense.entries.is_empty());
-    // A safety monitor's state contains the length of its record.
-    let other = Key::Record(stage.device(Kind::SafetyMonitor, "monitor"));
-    assert!(stage.bus.ask::<_, StateRecord<Fields>>(&other, &RecordQuestion { back_s: 600.0 }, LIMIT).await.is_err());
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_recorded_before_a_restart_of_the_device_node_is_answered_after_it() {
+    if node::kernel_boot_id().is_empty() {
+        return; // a system on which nothing that was written before counts
+    }
+    let hardware = Fake::start(&[("issafe", json!(true))]).await;
+    let monitor = block("safetymonitor", "monitor", hardware.address, "period_s = 0.2");
+    let is_safe = |state: &DeviceState<safety_monitor::Fields>| state.fields.is_safe.known() == Some(&true);
+    let stage = Stage::start(&monitor).await;
+    stage.until::<SafetyMonitor>("monitor", is_safe).await;
+    let file = stage.node().config.folders.data.join("states-alpha-main-safetymonitor-monitor.jsonl");
+    let written = || std::fs::read_to_string(&file).ok().filter(|text| text.contains("\"is_safe\":true"));
+    assert!(within(LIMIT, written).await.is_some(), "{}", file.display());
+    let boot_id = stage.node().bus.boot_id().clone();
+
+    let stage = stage.restarted(&monitor).await;
+    stage.until::<SafetyMonitor>("monitor", is_safe).await;
+    let (key, back) = (Key::Record(stage.device(Kind::SafetyMonitor, "monitor")), RecordQuestion { back_s: 600.0 });
+    let record: StateRecord<safety_monitor::Fields> = stage.bus.ask(&key, &back, LIMIT).await.unwrap();
+    let known = |entries: &[StateEntry<safety_monitor::Fields>]| {
+        entries.iter().any(|entry| entry.fields.is_safe.known() == Some(&true))
+    };
+    assert_eq!(record.earlier.len(), 1, "{record:?}");
+    assert_eq!((record.earlier[0].boot_id == boot_id, record.boot_id == boot_id), (true, false));
+    assert!(known(&record.earlier[0].entries) && known(&record.entries), "{record:?}");
+    let all = record.earlier[0].entries.iter().chain(&record.entries);
+    assert!(all.map(|entry| entry.age_s).is_sorted_by(|older, newer| older >= newer), "{record:?}");
     stage.end().await;
 }
 

@@ -15,7 +15,7 @@ use tokio::task::JoinHandle;
 pub struct Stage {
     pub bus: Bus,
     pub running: RunningNode,
-    _folder: tempfile::TempDir,
+    folder: tempfile::TempDir,
 }
 
 impl Stage {
@@ -40,7 +40,7 @@ impl Stage {
         let bus = private_bus(clock).await;
         let node = Node::new(Role::Device, "main".parse().unwrap(), config, Default::default(), bus.clone());
         let running = RunningNode::work(node, node_device::run);
-        Self { bus: join(&bus).await, running, _folder: folder }
+        Self { bus: join(&bus).await, running, folder }
     }
 
     pub fn node(&self) -> &Node {
@@ -76,6 +76,12 @@ impl Stage {
             }
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
+    }
+
+    /// Ends the node and starts another one in its folder, on a bus of its own.
+    pub async fn restarted(self, devices: &str) -> Self {
+        self.running.stop().await;
+        Self::start_at(self.folder, devices, Clock::machine_clock()).await
     }
 
     pub async fn end(self) {

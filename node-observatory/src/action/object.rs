@@ -209,6 +209,9 @@ async fn proven(
             None => exposing.await?,
         };
         gate.settle().await?;
+        if let Some(guided) = &guided {
+            guided.settle(context).await;
+        }
         report.extend(guided.map(|guided| guided.summary()));
         let taken = context.tools.journal.progress(&context.row.id).taken;
         let (lost, now) = (gate.lost().map(str::to_owned), context.clock().utc());

@@ -407,8 +407,6 @@ pub(crate) async fn stepped_back<T: Send + 'static>(work: impl FnOnce() -> T + S
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use contract::CommandId;
-    use contract::device::camera::{Pixel, Purpose};
     use rand::SeedableRng as _;
     use rand_distr::{Distribution as _, Normal};
     use units::Utc;
@@ -417,21 +415,13 @@ pub(crate) mod tests {
 
     pub fn frame(id: &str) -> Frame {
         Frame {
-            id: CommandId(id.to_owned()),
             camera: "cam".to_owned(),
-            purpose: Purpose::default(),
             width_px: 2,
             height_px: 1,
-            planes: 1,
-            pixel: Pixel::U16,
-            bin: 1,
-            origin_px: [0, 0],
             started_utc: Utc::from_seconds(1.8e9),
             exposure_s: 1.0,
-            url: String::new(),
             bytes: 4,
-            sha256: String::new(),
-            readings: BTreeMap::new(),
+            ..test_support::frame(id)
         }
     }
 

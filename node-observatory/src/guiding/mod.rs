@@ -16,6 +16,7 @@
 pub mod calibrated;
 mod guide_camera;
 pub mod learned;
+mod newest;
 mod publish;
 pub mod pulse;
 mod recovery;
@@ -24,13 +25,15 @@ mod session;
 mod task;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use bus::Publisher;
-use contract::Name;
 use contract::observatory::{AlertKind, Correction, GuidingState};
+use contract::{CommandId, Name};
 use node::Node;
 use tokio::sync::{OnceCell, watch};
 use tokio::task::JoinHandle;
+use units::Utc;
 
 use self::learned::LearnedGuiding;
 pub use self::recovery::guide_rates;
@@ -39,6 +42,9 @@ use crate::authority::Authority;
 use crate::replicated::Replicated;
 use crate::row_context::RowContext;
 use crate::tasks::Tasks;
+
+/// A row's last frame is waited for no longer than this, machine time.
+const LAST_FRAME: Duration = Duration::from_secs(15);
 
 /// The state of guiding.
 pub struct GuidingData {
@@ -85,6 +91,9 @@ pub struct Guided {
     task: JoinHandle<()>,
     camera: Name,
     given_up: watch::Receiver<Option<ActionError>>,
+    seen: watch::Receiver<Option<(Utc, CommandId)>>,
+    /// The row's last frame before guiding began.
+    before: Option<CommandId>,
 }
 
 /// Begins to guide a row.
@@ -105,8 +114,8 @@ pub async fn begin(context: &RowContext, guiding: &Arc<GuidingData>, wanted: Wan
     let own = config.camera.clone().filter(|camera| *camera != context.row.camera);
     let camera = own.clone().unwrap_or_else(|| context.row.camera.clone());
     tools.devices.chain(&camera)?;
-    let (give_up, given_up) = watch::channel(None);
-    let task = task::Loop::new(context, guiding.clone(), wanted.clone(), camera.clone(), give_up);
+    let ((give_up, given_up), (see, seen)) = (watch::channel(None), watch::channel(None));
+    let task = task::Loop::new(context, guiding.clone(), wanted.clone(), camera.clone(), give_up, see);
     guiding.state.send_modify(|state| {
         *state = GuidingState {
             active: true,
@@ -127,7 +136,8 @@ pub async fn begin(context: &RowContext, guiding: &Arc<GuidingData>, wanted: Wan
             None => task.run().await,
         }
     });
-    Ok(Guided { authority: tools.authority.clone(), guiding: guiding.clone(), task, camera, given_up })
+    let (authority, guiding, before) = (tools.authority.clone(), guiding.clone(), context.last_frame());
+    Ok(Guided { authority, guiding, task, camera, given_up, seen, before })
 }
 
 impl Guided {
@@ -142,6 +152,17 @@ impl Guided {
             Some(error) => error,
             None => std::future::pending().await,
         }
+    }
+
+    /// After a row's last frame: waits until it was guided on. A frame that is guided on itself is there only after its
+    /// exposure, and would otherwise be the one of its row of which nobody knows how well the field was held.
+    pub async fn settle(&self, context: &RowContext) {
+        let last = context.last_frame().filter(|last| self.before.as_ref() != Some(last));
+        let Some(last) = last.filter(|_| self.camera == context.row.camera) else { return };
+        let mut seen = self.seen.clone();
+        // One that cannot be fetched is never seen, and nothing depends on it.
+        let is_last = |seen: &Option<(Utc, CommandId)>| seen.as_ref().is_some_and(|(_, frame)| *frame == last);
+        let _ = tokio::time::timeout(LAST_FRAME, seen.wait_for(is_last)).await;
     }
 
     /// How it went, in words.

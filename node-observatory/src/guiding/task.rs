@@ -9,13 +9,14 @@ use contract::device::telescope::PierSide;
 use contract::observatory::{
     AlertKind, Correction, GuideCalibration, GuideField, GuideReference, GuideStage, GuidingState,
 };
-use contract::{Link, Name};
+use contract::{CommandId, Link, Name};
 use imaging::guide::{Ask, Decision, State};
 use schedule::Row;
-use tokio::sync::{broadcast, watch};
+use tokio::sync::watch;
 use units::{Utc, seconds};
 
 use super::learned;
+use super::newest::newest;
 use super::publish::{self, Residuals};
 use super::pulse::{self, Given, Refused};
 use super::session::{LISTED_WITHIN, NoSession, Session};
@@ -47,6 +48,8 @@ pub struct Loop {
     wanted: Wanted,
     camera: Name,
     give_up: watch::Sender<Option<ActionError>>,
+    /// The newest frame that was guided on, or passed over, and when it began.
+    seen: watch::Sender<Option<(Utc, CommandId)>>,
     session: Option<Session>,
     residuals: Residuals,
     /// Frames that began before this saw another field: before the loop, or before a slew ended.
@@ -72,6 +75,7 @@ impl Loop {
         wanted: Wanted,
         camera: Name,
         give_up: watch::Sender<Option<ActionError>>,
+        seen: watch::Sender<Option<(Utc, CommandId)>>,
     ) -> Self {
         Self {
             tools: context.tools.clone(),
@@ -81,6 +85,7 @@ impl Loop {
             wanted,
             camera,
             give_up,
+            seen,
             session: None,
             residuals: Residuals::default(),
             since: context.clock().utc(),
@@ -107,7 +112,11 @@ impl Loop {
         loop {
             let clock = tools.authority.node.bus.clock();
             tokio::select! {
-                fetched = newest(&mut pixels, self.camera.as_str()) => self.take(mount, fetched).await,
+                fetched = newest(&mut pixels, self.camera.as_str()) => {
+                    let frame = (fetched.frame.started_utc, fetched.frame.id.clone());
+                    self.take(mount, fetched).await;
+                    self.note_seen(frame);
+                }
                 () = states.changed() => {
                     let received = states.get().filter(|received| received.sample.body.link == Link::Connected);
                     let slews = received.and_then(|received| received.sample.body.fields.slewing.known().copied());
@@ -119,6 +128,17 @@ impl Loop {
                 self.complain(&format!("no frame of {} could be guided on for {silent_s:.0} s", self.camera));
             }
         }
+    }
+
+    fn note_seen(&self, frame: (Utc, CommandId)) {
+        // One that was fetched late changes nothing.
+        self.seen.send_if_modified(|seen| {
+            let is_newer = seen.as_ref().is_none_or(|(began, _)| *began <= frame.0);
+            if is_newer {
+                *seen = Some(frame);
+            }
+            is_newer
+        });
     }
 
     fn config(&self) -> &Guiding {
@@ -450,58 +470,5 @@ fn alarm(decision: &Decision) -> &'static str {
     match decision.state {
         State::Stopped => "the stars of the newest frames are not those of the reference",
         State::Acquire | State::Stabilise | State::Guide | State::Lost => "no stars are seen",
-    }
-}
-
-/// The newest frame of a camera; those that waited meanwhile are passed over.
-async fn newest(pixels: &mut broadcast::Receiver<Arc<Fetched>>, camera: &str) -> Arc<Fetched> {
-    let mut found: Option<Arc<Fetched>> = None;
-    loop {
-        match pixels.try_recv() {
-            Ok(fetched) if fetched.frame.camera == camera => found = Some(fetched),
-            Ok(_) | Err(broadcast::error::TryRecvError::Lagged(_)) => {}
-            Err(_) => match found {
-                Some(found) => return found,
-                None => match pixels.recv().await {
-                    Ok(fetched) if fetched.frame.camera == camera => found = Some(fetched),
-                    Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
-                    // The sender lives as long as the node.
-                    Err(broadcast::error::RecvError::Closed) => std::future::pending().await,
-                },
-            },
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::frames::looked::Looks;
-    use crate::frames::measure::Plane;
-    use crate::frames::tests::frame;
-
-    #[tokio::test]
-    async fn of_frames_that_waited_the_newest_of_the_camera_counts() {
-        let looks = Looks::default();
-        let mut pixels = looks.follow_pixels();
-        let fetched = |id: &str, camera: &str| {
-            let frame = contract::device::camera::Frame { camera: camera.to_owned(), ..frame(id) };
-            looks.fetched(&Arc::new(Fetched {
-                frame,
-                plane: Plane::Counts(Vec::new()),
-                camera: imaging::Camera::default(),
-            }));
-        };
-        // More than wait: the oldest is gone.
-        for (id, camera) in [("a", "cam"), ("b", "cam"), ("c", "cam")] {
-            fetched(id, camera);
-        }
-        assert_eq!(newest(&mut pixels, "cam").await.frame.id.0, "c");
-        fetched("d", "cam");
-        fetched("e", "other");
-        assert_eq!(newest(&mut pixels, "cam").await.frame.id.0, "d");
-        fetched("f", "other");
-        let none = tokio::time::timeout(Duration::from_millis(20), newest(&mut pixels, "cam")).await;
-        assert!(none.is_err(), "frames of other cameras are nothing to guide on");
     }
 }

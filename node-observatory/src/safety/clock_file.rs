@@ -7,11 +7,6 @@ use bus::MachineTime;
 use safety::clocks::{Anchor, Clocks};
 use units::Utc;
 
-/// Which boot of the machine this is, as its kernel names it; empty where it does not.
-pub fn boot() -> String {
-    std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default().trim().to_owned()
-}
-
 /// The file of the anchor; none for a clock that follows a simulator.
 #[derive(Debug)]
 pub struct ClockFile(Option<PathBuf>);
@@ -24,10 +19,9 @@ impl ClockFile {
 
     /// Begins to watch the clocks from the anchor in the file, or from now, which it writes there.
     pub fn watch(&self, speed: f64, utc: Utc, now: MachineTime) -> Clocks {
-        let boot = boot();
         let stored = self.0.as_ref().and_then(|file| std::fs::read(file).ok());
         let stored = stored.and_then(|bytes| serde_json::from_slice::<Anchor>(&bytes).ok());
-        let mut clocks = Clocks::new(stored, boot, speed, utc, now);
+        let mut clocks = Clocks::new(stored, node::kernel_boot_id(), speed, utc, now);
         if let (Some(file), Some(anchor)) = (&self.0, clocks.to_persist()) {
             write(file, &anchor);
         }
@@ -64,7 +58,7 @@ mod tests {
         let file = ClockFile::new(Some(folder.path()), "t");
         file.watch(1.0, utc(0.0), at(0.0));
         let mut again = file.watch(1.0, utc(100.0 - 3600.0), at(100.0));
-        let known = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").is_ok();
+        let known = !node::kernel_boot_id().is_empty();
         let doubts = again.doubts(utc(101.0 - 3600.0), at(101.0), &[]);
         let offsets: Vec<i64> = doubts.iter().map(|doubt| doubt.offset_s.round() as i64).collect();
         assert_eq!(offsets, if known { vec![3600] } else { Vec::new() });

@@ -1,7 +1,8 @@
 //! The subscribers of the safety loop: one for each device that it rests on.
 //!
-//! Live states go on at once. In addition, a subscriber asks the device node, at the first state from it, for the
-//! record of the time before, so that a restarted observatory need not wait again for what is known.
+//! Live states go on at once. In addition, a subscriber asks the device node for its record wherever states were
+//! missed: at the first one from it, and after each hole, which a restart of the device node, a cut link or a stall of
+//! this node has left. So nobody need wait again for what is known.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -14,7 +15,7 @@ use contract::device::record::{RecordQuestion, StateRecord};
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::Fields as Switches;
 use contract::observatory::AlertKind;
-use contract::{Device, DeviceState, Key, Kind, Payload, Stamped};
+use contract::{Device, DeviceState, Key, Kind, Link, Payload, Stamped};
 use node::Node;
 use safety::history::Now;
 use safety::recall::{Asked, PlacedState, Recall};
@@ -26,26 +27,28 @@ use super::writers::{self, Manners, Writers};
 
 /// What a subscriber passes on.
 pub enum Word {
-    /// A state of a safety monitor.
-    Monitor(Device, Box<DeviceState<Monitor>>, Now),
-    /// A state of a weather station.
-    Weather(Device, Box<DeviceState<Weather>>, Now),
-    /// A state of a set of switches.
-    Switch(Device, Box<DeviceState<Switches>>, Now),
-    /// All states of a weather station, from before this node subscribed and since; empty if there was no record.
-    WeatherBefore(Device, Vec<PlacedState<Weather>>),
-    /// The same of a set of switches.
-    SwitchBefore(Device, Vec<PlacedState<Switches>>),
+    /// Of a safety monitor.
+    Monitor(Device, Heard<Monitor>),
+    /// Of a weather station.
+    Weather(Device, Heard<Weather>),
+    /// Of a set of switches.
+    Switch(Device, Heard<Switches>),
 }
 
-/// Makes a `Word` of all states of a device.
-type Retell<F> = fn(Device, Vec<PlacedState<F>>) -> Word;
+/// What is heard of a device.
+pub enum Heard<F> {
+    /// States were missed before the next one.
+    Hole,
+    /// A state.
+    State(Box<DeviceState<F>>, Now),
+    /// All states since the hole began, those that were missed among them; empty if there is no record of them.
+    Recalled(Vec<PlacedState<F>>),
+}
 
 /// How a subscriber handles the devices of a kind.
 struct Handling<F> {
     manners: Manners<F>,
-    state: fn(Device, Box<DeviceState<F>>, Now) -> Word,
-    before: Option<Retell<F>>,
+    word: fn(Device, Heard<F>) -> Word,
 }
 
 /// A device node is asked for its record so often, after these pauses: one that was just found may not be known to
@@ -58,20 +61,15 @@ const TIMEOUT: Duration = Duration::from_millis(1200);
 pub async fn open(node: &Node, rules: &Rules) -> anyhow::Result<(JoinSet<()>, mpsc::Receiver<Word>)> {
     let (words, received) = mpsc::channel(256);
     let mut subscribers = JoinSet::new();
-    let mut monitors: Vec<&Device> = rules.monitors.iter().map(|rule| &rule.device).collect();
-    monitors.dedup();
-    for device in monitors {
-        let handling = Handling { manners: writers::MONITOR, state: Word::Monitor, before: None };
-        subscribers.spawn(listen(node, device.clone(), &words, handling, Duration::ZERO).await?);
-    }
     for (device, back) in rules.look_back(node.bus.clock().speed()) {
-        if device.kind == Kind::Switch {
-            let handling =
-                Handling { manners: Manners::of_values(), state: Word::Switch, before: Some(Word::SwitchBefore) };
+        if device.kind == Kind::SafetyMonitor {
+            let handling = Handling { manners: writers::MONITOR, word: Word::Monitor };
+            subscribers.spawn(listen(node, device, &words, handling, back).await?);
+        } else if device.kind == Kind::Switch {
+            let handling = Handling { manners: Manners::of_values(), word: Word::Switch };
             subscribers.spawn(listen(node, device, &words, handling, back).await?);
         } else {
-            let handling =
-                Handling { manners: Manners::of_values(), state: Word::Weather, before: Some(Word::WeatherBefore) };
+            let handling = Handling { manners: Manners::of_values(), word: Word::Weather };
             subscribers.spawn(listen(node, device, &words, handling, back).await?);
         }
     }
@@ -93,11 +91,12 @@ async fn listen<F: Payload + PartialEq>(
     let instance = format!("{}/{}", device.kind, device.name);
     Ok(async move {
         let (mut writers, mut disputed) = (Writers::new(handling.manners), false);
-        let mut before = handling.before.map(|word| (word, PastStates::new(bus.clone(), device.clone(), back)));
+        let mut past = PastStates::new(bus.clone(), device.clone(), back);
         loop {
-            tokio::select! {
+            let heard = tokio::select! {
                 received = subscriber.recv() => {
                     let mut received: Received<DeviceState<F>> = received;
+                    let published = received.sample.clone();
                     let taken = writers.take(&mut received.sample, received.arrived);
                     match writers.dispute(received.arrived) {
                         Some(why) if !disputed => {
@@ -113,21 +112,18 @@ async fn listen<F: Payload + PartialEq>(
                     if !taken {
                         continue;
                     }
-                    let at = arrival(bus.clock(), received.arrived);
-                    if let Some((_, before)) = &mut before {
-                        before.observe(&received.sample, at);
-                    }
-                    let word = (handling.state)(device.clone(), Box::new(received.sample.body), at);
-                    if words.send(word).await.is_err() {
+                    let (at, body) = (arrival(bus.clock(), received.arrived), received.sample.body);
+                    if past.observe(published, &body.link, at)
+                        && words.send((handling.word)(device.clone(), Heard::Hole)).await.is_err()
+                    {
                         return;
                     }
+                    Heard::State(Box::new(body), at)
                 }
-                (word, placed_states) = placed_states(&mut before) => {
-                    before = None;
-                    if words.send(word(device.clone(), placed_states)).await.is_err() {
-                        return;
-                    }
-                }
+                states = past.states() => Heard::Recalled(states),
+            };
+            if words.send((handling.word)(device.clone(), heard)).await.is_err() {
+                return;
             }
         }
     })
@@ -139,50 +135,40 @@ fn arrival(clock: &Clock, arrived: MachineTime) -> Now {
     Now { sky: clock.sky().minus(queued), machine: arrived }
 }
 
-/// Waits for the record, where one is awaited.
-async fn placed_states<F: Payload + PartialEq, W: Copy>(
-    before: &mut Option<(W, PastStates<F>)>,
-) -> (W, Vec<PlacedState<F>>) {
-    match before {
-        Some((word, before)) => (*word, before.placed_states().await),
-        None => std::future::pending().await,
-    }
-}
-
 type RecordAnswer<F> = Result<(StateRecord<F>, Asked), String>;
 
-/// The time before, while a device node is asked for it.
+/// What was missed of a device, and the question for it.
 struct PastStates<F> {
     bus: Bus,
     device: Device,
     back: Duration,
-    /// For the first incarnation that is received; a later one knows no more than was received live.
-    recall: Option<Recall<F>>,
-    over: bool,
+    recall: Recall<F>,
     tries: std::slice::Iter<'static, u64>,
     asking: Option<Pin<Box<dyn Future<Output = RecordAnswer<F>> + Send>>>,
 }
 
 impl<F: Payload + PartialEq> PastStates<F> {
     fn new(bus: Bus, device: Device, back: Duration) -> Self {
-        Self { bus, device, back, recall: None, over: false, tries: TRIES_MS.iter(), asking: None }
+        Self { bus, device, back, recall: Recall::default(), tries: [].iter(), asking: None }
     }
 
-    /// A live state; the first one is when the node is asked.
-    fn observe(&mut self, sample: &Stamped<DeviceState<F>>, at: Now) {
-        match &mut self.recall {
-            Some(recall) => self.over |= !recall.observe(sample, at),
-            None => {
-                self.recall = Some(Recall::new(sample, at));
-                self.ask();
-            }
+    /// A live state as its node published it, and what this node makes of its link; true where a hole ends with it, and
+    /// the node is asked.
+    fn observe(&mut self, published: Stamped<DeviceState<F>>, link: &Link, at: Now) -> bool {
+        let body = DeviceState { link: link.clone(), ..published.body };
+        let has_missed = self.recall.observe(&Stamped { body, ..published }, at);
+        if has_missed {
+            self.tries = TRIES_MS.iter();
+            self.ask();
         }
+        has_missed
     }
 
     fn ask(&mut self) {
         let Some(pause_ms) = self.tries.next() else { return };
         let (bus, device, pause) = (self.bus.clone(), self.device.clone(), Duration::from_millis(*pause_ms));
-        let question = RecordQuestion { back_s: self.back.as_secs_f64() };
+        let now = arrival(bus.clock(), bus.clock().machine());
+        let question = RecordQuestion { back_s: self.recall.back(now, self.back, bus.clock().speed()).as_secs_f64() };
         self.asking = Some(Box::pin(async move {
             tokio::time::sleep(pause).await;
             let asked = bus.clock().machine();
@@ -192,30 +178,122 @@ impl<F: Payload + PartialEq> PastStates<F> {
         }));
     }
 
-    /// Waits for all states up to now; empty if there is no record, or none that can be taken.
+    /// Waits for all states since the hole; empty if there is no record of them, or none that can be taken.
     ///
     /// May be dropped and called again.
-    async fn placed_states(&mut self) -> Vec<PlacedState<F>> {
+    async fn states(&mut self) -> Vec<PlacedState<F>> {
         loop {
             let Some(asking) = &mut self.asking else { std::future::pending().await };
             let answer = asking.as_mut().await;
             self.asking = None;
-            let Some(recall) = self.recall.as_ref().filter(|_| !self.over) else {
-                tracing::info!(device = %self.device, "its node was restarted: the dwell runs");
-                return Vec::new();
-            };
-            let refused = match answer.and_then(|(record, asked)| recall.place(&record, asked)) {
+            let refused = match answer.and_then(|(record, asked)| self.recall.place(&record, asked)) {
                 Ok(states) => {
-                    tracing::info!(device = %self.device, states = states.len(), "its node answers about the time before");
+                    tracing::info!(device = %self.device, states = states.len(), "its node recorded what was missed");
+                    self.recall.close();
                     return states;
                 }
                 Err(why) => why,
             };
             self.ask();
             if self.asking.is_none() {
-                tracing::warn!(device = %self.device, why = refused, "no record of the time before: the dwell runs");
+                tracing::warn!(device = %self.device, why = refused, "no record of what was missed: it was silence");
+                self.recall.close();
                 return Vec::new();
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bus::{Publisher, Quality, Service};
+    use contract::device::record::{EarlierStates, StateEntry};
+    use contract::{BootId, Datum, Role};
+    use serde_json::Value;
+    use test_support::{ALPHA, LIMIT, block, join, private_bus};
+
+    use super::*;
+
+    fn state() -> DeviceState<Monitor> {
+        DeviceState {
+            link: Link::Connected,
+            busy: false,
+            period_s: 1.0,
+            poll_s: None,
+            last_command: None,
+            fields: Monitor { is_safe: Datum::Known(true), gapless_safe_s: 7.0 },
+            readings: Default::default(),
+        }
+    }
+
+    /// A device node that publishes one state, and answers with it after those that an earlier incarnation published.
+    async fn device_node(
+        bus: &Bus,
+        device: &Device,
+        earlier: Option<(BootId, Vec<MachineTime>)>,
+    ) -> (Publisher<DeviceState<Monitor>>, Service) {
+        let (boot_id, clock) = (bus.boot_id().clone(), bus.clock().clone());
+        let own = [clock.machine()];
+        let answer = move |_: Result<RecordQuestion, String>| {
+            let entries = |times: &[MachineTime]| {
+                let entry = |(seq, at): (u64, &MachineTime)| StateEntry {
+                    seq,
+                    age_s: clock.machine().since(*at).as_secs_f64(),
+                    reading_ages_s: Default::default(),
+                    link: Link::Connected,
+                    fields: state().fields,
+                };
+                (0..).zip(times).map(entry).collect::<Vec<_>>()
+            };
+            let earlier = earlier
+                .iter()
+                .map(|(boot_id, times)| EarlierStates { boot_id: boot_id.clone(), entries: entries(times) });
+            let earlier = earlier.collect();
+            let record = StateRecord { boot_id: boot_id.clone(), speed: 1.0, entries: entries(&own), earlier };
+            let answer = serde_json::to_value(record).unwrap();
+            async move { answer }
+        };
+        let service = bus.serve::<RecordQuestion, Value, _, _>(&Key::Record(device.clone()), answer).await.unwrap();
+        let key = Key::State(device.clone());
+        let states = bus.publisher_as(&key, Quality::State { cache: 1 }).await.unwrap();
+        states.put(state()).await.unwrap();
+        (states, service)
+    }
+
+    /// Receives a hole, the state after it and what was recalled: the number of states, and the length of the record for
+    /// which the newest one is believed.
+    async fn after_a_hole(received: &mut mpsc::Receiver<Word>) -> (usize, f64) {
+        let mut next = async || match tokio::time::timeout(LIMIT, received.recv()).await.unwrap().unwrap() {
+            Word::Monitor(_, heard) => heard,
+            Word::Weather(..) | Word::Switch(..) => panic!("there is no such device"),
+        };
+        assert!(matches!(next().await, Heard::Hole));
+        let Heard::State(state, _) = next().await else { panic!("no state") };
+        let Heard::Recalled(states) = next().await else { panic!("not asked") };
+        (states.len(), state.fields.gapless_safe_s)
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_device_node_is_asked_for_what_was_missed_also_by_one_that_goes_on_listening() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = format!("{ALPHA}{}", block("safetymonitor", "m", "a:1", ""));
+        let config = config::parse(&text, folder.path()).unwrap();
+        let (rules, device) = (Rules::of(&config), config.device(Kind::SafetyMonitor, &"m".parse().unwrap()));
+        let bus = private_bus(Clock::machine_clock()).await;
+        let (first, second) = (join(&bus).await, join(&bus).await);
+        let node = Node::new(Role::Observatory, "main".parse().unwrap(), config, Default::default(), bus);
+
+        let began = first.clock().machine();
+        let running = device_node(&first, &device, None).await;
+        let (_subscribers, mut received) = open(&node, &rules).await.unwrap();
+        assert_eq!(after_a_hole(&mut received).await, (1, 7.0), "its first state is all that it knows");
+        drop(running);
+        let boot_id = first.boot_id().clone();
+        first.close().await;
+
+        // Before its end it published one more, which came nowhere; the next incarnation has both on its disk.
+        let earlier = Some((boot_id, vec![began, second.clock().machine()]));
+        let _running = device_node(&second, &device, earlier).await;
+        assert_eq!(after_a_hole(&mut received).await, (2, 0.0), "the one that was missed, and the first one after it");
     }
 }

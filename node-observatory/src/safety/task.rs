@@ -20,9 +20,9 @@ use safety::stored_history::{Moment, StoredHistory};
 use safety::sun::Sun;
 use tokio::sync::watch;
 
-use super::clock_file::{self, ClockFile};
+use super::clock_file::ClockFile;
 use super::record_file::{self, RecordFile};
-use super::subscribers::{self, Word};
+use super::subscribers::{self, Heard, Word};
 use super::verdict_file;
 
 /// So long after its start, a node may lack a value of an input before that counts.
@@ -60,7 +60,7 @@ pub async fn keep_judging(
     let past = verdict_file::path(&node.config);
     let read = past.clone();
     let mut past_verdicts = tokio::task::spawn_blocking(move || verdict_file::read(&read)).await?;
-    let boot = clock_file::boot();
+    let boot = node::kernel_boot_id();
     let moment = || Moment { boot: boot.clone(), now: now(&clock), utc: clock.utc(), speed: clock.speed() };
     let record = record_file::path(&node.config, &node.id);
     let read = record.clone();
@@ -138,15 +138,25 @@ fn go_on(history: &mut History, rules: &Rules, stored: Result<Option<StoredHisto
 
 fn take_in(history: &mut History, rules: &Rules, word: Word, speed: f64) {
     match word {
-        Word::Monitor(device, state, at) => history.observe_monitor(rules, &device, &state, at),
-        Word::Weather(device, state, at) => history.observe_weather(rules, &device, &state, speed, at),
-        Word::Switch(device, state, at) => history.observe_switch(rules, &device, &state, at),
-        Word::WeatherBefore(device, states) => {
-            if let Err(why) = history.recall_weather(rules, &device, states, speed) {
-                tracing::warn!(%device, why, "the record of the time before is not taken: the dwell runs");
+        Word::Monitor(device, heard) => match heard {
+            Heard::Hole => history.miss(rules, &device),
+            Heard::State(state, at) => history.observe_monitor(rules, &device, &state, at),
+            Heard::Recalled(states) => history.recall_monitor(rules, &device, states),
+        },
+        Word::Weather(device, heard) => match heard {
+            Heard::Hole => history.miss(rules, &device),
+            Heard::State(state, at) => history.observe_weather(rules, &device, &state, speed, at),
+            Heard::Recalled(states) => {
+                if let Err(why) = history.recall_weather(rules, &device, states, speed) {
+                    tracing::warn!(%device, why, "the record of the time before is not taken: the dwell runs");
+                }
             }
-        }
-        Word::SwitchBefore(device, states) => history.recall_switch(rules, &device, states),
+        },
+        Word::Switch(device, heard) => match heard {
+            Heard::Hole => history.miss(rules, &device),
+            Heard::State(state, at) => history.observe_switch(rules, &device, &state, at),
+            Heard::Recalled(states) => history.recall_switch(rules, &device, states),
+        },
     }
 }
 

@@ -68,7 +68,7 @@ fn held(corrections: &[Correction], side: PierSide) -> usize {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn pulses_teach_what_they_do_and_a_field_is_held_by_it() {
+async fn pulses_teach_what_they_do_and_a_field_is_held_by_it_until_its_last_frame() {
     let mut options = telescope(30.0);
     options.camera.position_angle = Angle::from_degrees(17.0);
     // Nothing moves the stars but pulses, however long this machine takes between two of them.
@@ -92,8 +92,13 @@ async fn pulses_teach_what_they_do_and_a_field_is_held_by_it() {
     sim.until("the field observed", MOST, |sim| sim.ended(1).is_some()).await;
     let over = |sim: &Sim| sim.guiding.get().is_some_and(|received| !received.sample.body.active);
     sim.until("guiding over with its row", MOST, over).await;
+    let ended = sim.clock.utc();
+    let told = |sim: &Sim| sim.night.get().is_some_and(|received| received.sample.at_utc > ended);
+    sim.until("told since", MOST, told).await;
+    let last = sim.night.get().unwrap().sample.body.last_frame.unwrap();
     let corrections = sim.corrections().await;
     assert!(corrections.iter().any(|correction| correction.stage == GuideStage::Guide), "{corrections:#?}");
+    assert!(corrections.iter().any(|correction| correction.frame == last), "no correction of {last}: {corrections:#?}");
     sim.stop().await;
 }
 

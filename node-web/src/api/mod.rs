@@ -228,7 +228,7 @@ fn general() -> Vec<Endpoint> {
         part!("optics", OpticsState, Part::Optics, "Scale, orientation and zero points, as learned from solved frames."),
         part!("operator-orders", OperatorOrders, Part::OperatorOrders, "What people have ordered and what still holds."),
         Endpoint::get("/api/v1/alerts", "alerts", Needs::Anywhere(Viewer), parts::alerts)
-            .summary("Active alerts of all telescopes, the most urgent first.")
+            .summary("Alerts of all telescopes: those that need somebody first, and those whose cause is gone last.")
             .query::<parts::AlertsQuery>()
             .gives::<Vec<parts::AlertOfTelescope>>("The alerts."),
         Endpoint::post("/api/v1/alerts/test", "test_alerts", Needs::Anywhere(Operator), test_messages::send)

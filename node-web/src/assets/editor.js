@@ -63,8 +63,14 @@ function Form({ id, rows, row, site, onDone, close }) {
   return html`<${RowForm} id=${id} row=${row} template=${template} cameras=${cameras} filters=${filters} onDone=${onDone} close=${close} />`;
 }
 
-/** `draft` as `draftOf` makes it; `revision` and `sha256` are of the schedule in force, `running` the starts of its rows that run; `close` leaves the editor. */
-export function Editor({ id, draft, revision, sha256, running, site, close }) {
+/** The size of a forecast's files in words: not known while the archive has no frame of one of the cameras. */
+function sizeOf({ rows, night, cameras = [] }) {
+  const unknown = new Set(cameras.filter((one) => !one.measured).map((one) => one.camera));
+  return rows.some((row) => row.frames > 0 && unknown.has(row.camera)) ? "size not known yet" : `${number(night.gigabytes, 1)} GB`;
+}
+
+/** `draft` as `draftOf` makes it; `version` (where it is known) and `sha256` are of the schedule in force, `running` the starts of its rows that run; `close` leaves the editor. */
+export function Editor({ id, draft, version, sha256, running, site, close }) {
   const { text, inForce, stored, theirs, past, future } = draft;
   const checked = useSignal(null);
   const dry = useSignal(null);
@@ -173,7 +179,7 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
   const step = (list, word, go) => { const told = list.length ? `${word}: ${list[list.length - 1].what}` : word; return html`<button class="btn quiet" data-testid=${word.toLowerCase()} disabled=${!list.length} title=${told} aria-label=${told} onClick=${go}>${word}</button>`; };
   const plan = dry.value?.text === text.value ? dry.value : null;
   return html`<${Card} label="Draft" cls="draft">
-      <div class="row wrap"><div class="row wrap facts grow"><span>In force <b>version ${revision}</b></span><span>Draft <b data-testid="stored">${draft.isStored.value ? (stored.value ? `stored by ${stored.value.author}, ${clock(stored.value.changed_utc)}` : "as in force") : "not stored yet"}</b>, ${changes.length} ${changes.length === 1 ? "row differs" : "rows differ"}</span>
+      <div class="row wrap"><div class="row wrap facts grow"><span>In force <b data-testid="in-force">${version == null ? "one that is not in the list yet" : `version ${version}`}</b></span><span>Draft <b data-testid="stored">${draft.isStored.value ? (stored.value ? `stored by ${stored.value.author}, ${clock(stored.value.changed_utc)}` : "as in force") : "not stored yet"}</b>, ${changes.length} ${changes.length === 1 ? "row differs" : "rows differ"}</span>
         <span data-testid="check">${checked.value?.error ? "not checked" : html`<span class=${errors ? "ink-p2" : ""}>${errors > 0 && html`<${Shape} n=${2} /> `}<b>${errors}</b> ${errors === 1 ? "error" : "errors"}</span>, <span class=${warnings ? "ink-p3" : ""}>${warnings > 0 && html`<${Shape} n=${3} /> `}<b>${warnings}</b> ${warnings === 1 ? "warning" : "warnings"}</span>, ${checked.value?.rows ?? "?"} rows`}</span></div>
         <div class="row wrap">${step(past.value, "Undo", draft.undo)}${step(future.value, "Redo", draft.redo)}<button class="btn soft" disabled=${draft.isStored.value || theirs.value !== null} onClick=${press(draft.store)}>Store</button><button class="btn soft" disabled=${errors > 0} onClick=${press(simulate)}>Dry run</button><button class="btn main" disabled=${waits !== null} onClick=${() => { activating.value = inForce.peek().etag; }}>Activate …</button></div></div>
       ${waits && html`<p class="why">${waits}</p>`}
@@ -185,7 +191,7 @@ export function Editor({ id, draft, revision, sha256, running, site, close }) {
       <div class="grid"><${Chosen} row=${chosen} onAdd=${() => { form.value = { row: null }; }} onChange=${() => { form.value = { row: chosen }; }} onDuplicate=${duplicate} onRemove=${() => draft.edit(without(text.peek(), chosen), `removing ${nameOf(chosen.row)}`)} />
         <${Card} name="Findings">${checked.value?.error ? html`<div class="note p2" role="alert"><span class="grow">${checked.value.error.message}</span></div>` : html`<${Findings} findings=${findings} onGo=${goTo} onFix=${checked.value?.text === text.value ? mend : null} />`}<//>
         <${Card} name="Compared with what is in force" flush end=${`${changes.length} ${changes.length === 1 ? "row" : "rows"}`}><${Changes} label="The draft compared with the schedule in force" changes=${changes} /><//></div></div>
-    ${dry.value && html`<${Card} name="Dry run" flush testid="dry-run" end=${plan ? plan.night && `${plan.night.frames} frames, ${number(plan.night.gigabytes, 1)} GB, ${duration(plan.night.dark_exposed_s)} of ${duration(plan.night.dark_s)} dark time exposed` : "before the last change"}>
+    ${dry.value && html`<${Card} name="Dry run" flush testid="dry-run" end=${plan ? plan.night && `${plan.night.frames} frames, ${sizeOf(plan)}, ${duration(plan.night.dark_exposed_s)} of ${duration(plan.night.dark_s)} dark time exposed` : "before the last change"}>
       <${Table} label="Dry run" cls="cards" columns=${[{ key: "r", name: "Row" }, { key: "b", name: "Runs" }, { key: "f", name: "Frames", num: true }, { key: "n", name: "Outcome" }]} rows=${dry.value.rows} keyOf=${(row) => row.row} cells=${(row) => html`<td class="k">${row.row + 1} ${[row.action, row.object].filter(Boolean).join(" ")}</td><td>${row.start_utc ? `${clock(row.start_utc)} to ${row.end_utc ? clock(row.end_utc) : "—"}` : "will not run"}</td><td class="num">${row.frames_wanted ? `${row.frames} of ${row.frames_wanted}` : row.frames || ""}</td><td class="m">${row.note ?? (row.whole === false ? "not whole" : "")}</td>`} /><//>`}
     <${Guard} name="The form">${form.value && html`<${Form} id=${id} rows=${rows} row=${form.value.row?.row ?? null} site=${site} onDone=${take} close=${() => { form.value = null; }} />`}<//>
     ${activating.value !== null && html`<${Dialog} label="Activate the draft" close=${() => { activating.value = null; }}><h2>Put this schedule in force?</h2><p class="m">${rows.length} rows take the place of those in force; ${changes.length} differ. ${ends.length ? html`<b>${ends.map(({ before }) => nameOf(before.row)).join(", ")} runs and is not in it unchanged:</b> its frame is finished, then it ends.` : "A row that runs goes on."}</p><form class="stack" onSubmit=${press(activate)}><div class="field"><label for="why">Why</label><div class="in"><input id="why" name="reason" data-first maxlength="500" required defaultValue=${draft.reason()} /></div></div><div class="acts"><button type="button" class="btn soft" onClick=${() => { activating.value = null; }}>Cancel</button><button class="btn main">Activate</button></div></form><//>`}`;

@@ -109,8 +109,9 @@ async fn give(
     let state = order(&server, &caller, &client, address.clone(), (&key, request), wait(&headers)).await?;
     let state = unless_refused(state)?;
     let location = [(header::LOCATION, location(&state))];
-    let message =
-        format!("{command} at {address}: {}", state.detail.as_deref().unwrap_or("the observatory node took it"));
+    let taken = state.detail.as_deref().unwrap_or("the observatory node took it");
+    let against: String = state.against.iter().map(|why| format!("; but {why}")).collect();
+    let message = format!("{command} at {address}: {taken}{against}");
     let ordered = LegacyOrdered { status: "success", data: "null", message, command_id: state.id, state: state.state };
     Ok(instead("commands", &address, (location, Json(ordered)).into_response()))
 }

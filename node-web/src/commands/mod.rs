@@ -16,7 +16,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Response};
 use contract::order_form::{BadOrder, LONGEST_REASON, OrderForm};
 use contract::{Address, CommandId, Order, Reason, Refusal};
-use orders::{Follower, NotAccepted, NotDone, TakenBy};
+use orders::{Follower, GivenOn, NotAccepted, NotDone, TakenBy};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -34,9 +34,10 @@ use crate::server::Server;
 pub use self::legacy::{LegacyOrdered, legacy_close, legacy_cool, legacy_headers, legacy_start, legacy_stop};
 pub use self::offered::{OrderOffered, catalog};
 
-/// An order that nobody answered is given again, with the same id, so many times in all: a session that has just opened
-/// does not know all its peers.
-const TRIES: u32 = 3;
+/// So long an order is given that nobody answers.
+const WITHIN: Duration = Duration::from_secs(3);
+/// An answer or its absence is known by then: the last question begins after a pause, and may wait for a state first.
+const ANSWERED_WITHIN: Duration = Duration::from_secs(12);
 /// The time for a telescope to be verified closed, where the caller names none, s.
 const USUAL_DEADLINE_S: f64 = 300.0;
 const LONGEST_DEADLINE_S: f64 = 3600.0;
@@ -143,7 +144,12 @@ async fn order(
         seen: None,
     };
     let parameters = brief(request.parameters);
-    let state = CommandState::sent(&order, &address, form.word, parameters, &person, server.network.clock().utc());
+    let against = match form.closes {
+        true => Vec::new(),
+        false => offered::against_now(server, form, &address),
+    };
+    let utc = server.network.clock().utc();
+    let state = CommandState::sent(&order, &address, form.word, parameters, &person, against, utc);
     let command = match server.commands.begin((caller.name.clone(), address.to_string(), key.to_owned()), state) {
         Stored::New(command) => {
             match server.seconds.check(&order, server.bus.boot_id(), server.bus.clock().machine()) {
@@ -163,7 +169,7 @@ async fn order(
     };
     Ok(match wait {
         Some(time) => command.until(time, CommandState::has_ended).await,
-        None => command.until(orders::ANSWER_WITHIN * (TRIES + 1), CommandState::is_answered).await,
+        None => command.until(ANSWERED_WITHIN, CommandState::is_answered).await,
     })
 }
 
@@ -191,16 +197,8 @@ async fn follow(
     if form.closes {
         return close(&server, &command, &address, &order, form, deadline).await;
     }
-    let mut tries = 0;
-    let given = loop {
-        tries += 1;
-        match orders::give(&server.bus, &address, &order).await {
-            Err(error) if error.is_silence() && tries < TRIES => {}
-            given => break given,
-        }
-    };
-    match given {
-        Ok(()) => command.note(Progress::Done, None, utc()),
+    match orders::give_until_answered(&server.bus, &address, &order, WITHIN, orders::ask_again).await {
+        Ok(_) => command.note(Progress::Done, None, utc()),
         Err(error) => not_accepted(&command, error, utc()),
     }
 }
@@ -235,12 +233,15 @@ async fn close(
             let detail = format!("{}{warning}", taken.closed_words());
             // The domes close, and do nothing else that was ordered.
             let is_whole = taken == TakenBy::Observatory || form.word == CLOSE;
-            command.note(if is_whole { Progress::Done } else { Progress::Failed }, Some(detail), utc());
-            if taken != TakenBy::Observatory
-                && orders::give_on(&server.bus, address, order, orders::GIVEN_ON).await.is_ok()
-            {
-                let detail = format!("{}; {}", taken.closed_words(), orders::HEARD_LATER);
-                command.note(Progress::Done, Some(detail), utc());
+            let progress = if is_whole { Progress::Done } else { Progress::Failed };
+            command.note(progress, Some(detail), utc());
+            if taken == TakenBy::Observatory {
+                return;
+            }
+            // An error adds nothing to what was noted.
+            if let Ok(given) = orders::give_on(&server.bus, &follower, order, orders::GIVEN_ON).await {
+                let detail = format!("{}; {}", taken.closed_words(), given.words());
+                command.note(if given == GivenOn::Taken { Progress::Done } else { progress }, Some(detail), utc());
             }
         }
         Err(NotDone::NotClosed(error)) => command.note(Progress::Failed, Some(error.to_string()), utc()),

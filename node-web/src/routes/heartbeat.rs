@@ -24,8 +24,9 @@ use crate::host::Usage;
 use crate::json_body::AskedFor;
 use crate::model::{Model, Telescope};
 use crate::problem::Problem;
+use crate::safety::SafetyWord;
 use crate::server::Server;
-use crate::summary::{Face, Mode, SafetyWord, Summary};
+use crate::summary::{Face, Mode, Summary};
 
 /// One document serves all clients that ask within this time.
 const VALID_FOR: Duration = Duration::from_millis(250);

@@ -8,13 +8,14 @@ use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse as _, Response};
 use contract::Address;
-use contract::observatory::{Alert, Posture};
+use contract::observatory::{Alert, Posture, Standing};
 use users::Principal;
 
 use crate::routes::network::WebcamInNetwork;
 use crate::routes::{network, page};
+use crate::safety::SafetyWord;
 use crate::server::Server;
-use crate::summary::{Face, Mode, SafetyWord, Summary};
+use crate::summary::{Face, Mode, Summary};
 
 /// The browser asks again after so long, s.
 const AGAIN_S: u32 = 15;
@@ -116,7 +117,12 @@ fn link(webcam: &WebcamInNetwork) -> String {
 }
 
 fn told(alert: &Alert) -> String {
-    format!("{}: {} {} {}", alert.priority.word(), alert.cause, alert.consequence, alert.action)
+    let fate = match alert.standing() {
+        Standing::Active => "",
+        Standing::SeenTo => " (somebody sees to it, or has shelved it)",
+        Standing::Gone => " (its cause is gone)",
+    };
+    format!("{}{fate}: {} {} {}", alert.priority.word(), alert.cause, alert.consequence, alert.action)
 }
 
 fn list(text: &mut String, lines: impl Iterator<Item = String>) {
@@ -206,6 +212,10 @@ mod tests {
         };
         let silent = json!([{"id": "a/station", "priority": "high", "raised_utc": "2026-11-21T03:00:00Z",
             "cause": "the station is silent", "consequence": "c", "action": "d"}]);
+        let mut over = silent.clone();
+        over[0]["returned_utc"] = json!("2026-11-21T03:20:00Z");
+        let over = page(over);
+        assert!(over.contains("<li>high (its cause is gone): the station is silent c d</li>"), "{over}");
         let (none, one) = (page(json!([])), page(silent));
         assert!(!none.contains("paranal/shared"), "{none}");
         assert!(one.contains("<h2>paranal/shared</h2><ul><li>high: the station is silent c d</li></ul>"), "{one}");

@@ -16,8 +16,9 @@ use users::Principal;
 use crate::alerts::Counts;
 use crate::freshness::Quality;
 use crate::model::{Model, Telescope};
+use crate::safety::SafetyWord;
 use crate::server::Server;
-use crate::summary::{Mode, SafetyWord, Summary, nodes};
+use crate::summary::{Mode, Summary, nodes};
 
 /// The page of metrics.
 pub async fn metrics(State(server): State<Arc<Server>>, Extension(caller): Extension<Principal>) -> Response {

@@ -151,7 +151,7 @@ fn device_now(device: Device, telescope: &Telescope, server: &Server, caller: &P
     }
 }
 
-/// Active alerts of all telescopes, the most urgent first.
+/// Alerts of all telescopes: those that need somebody first, and those whose cause is gone last.
 pub async fn alerts(
     State(server): State<Arc<Server>>,
     Extension(caller): Extension<Principal>,
@@ -174,6 +174,6 @@ pub async fn alerts(
         })
         .filter(|of| query.priority.is_none_or(|least| of.alert.priority <= least))
         .collect();
-    alerts.sort_by_key(|of| of.alert.priority);
+    alerts.sort_by_key(|of| (of.alert.standing(), of.alert.priority));
     Ok((NEVER_CACHED, Json(alerts)).into_response())
 }

@@ -14,7 +14,7 @@ use sky::{EarthOrientation, Horizontal, Icrs, Night, Observer, Place, SkyError, 
 use units::Utc;
 
 use crate::json_body::AskedFor;
-use crate::place::{self, PlaceOnEarth};
+use crate::place::PlaceOnEarth;
 use crate::problem::{Code, Problem};
 use crate::routes::network::{NEVER_CACHED, known};
 use crate::server::Server;
@@ -153,7 +153,7 @@ pub async fn sky(
 
 /// Where a telescope stands, or that this is not known.
 pub fn known_place(server: &Server, address: &Address) -> Result<(Place, EarthOrientation), Problem> {
-    place::of(&server.network.read(), address).ok_or_else(|| {
+    server.network.read().place(address).ok_or_else(|| {
         Problem::not_found(format!(
             "It is not known where {address} stands: this server's file is of another site, and no mount there publishes a place."
         ))

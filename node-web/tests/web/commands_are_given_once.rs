@@ -211,6 +211,39 @@ async fn the_catalogue_has_what_stands_against_an_order() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_start_that_opens_nothing_yet_is_answered_with_what_keeps_the_telescope_closed() {
+    let stage = Stage::start().await;
+    let (_observatory, _orders) = observatory(&stage).await;
+    let _night = night(&stage).await;
+    let by_ben = json!({"from": "cli/ben@pc", "reason": "wet snow", "at_utc": bus::Clock::machine_clock().utc()});
+    let orders = json!({"stay_closed": by_ben, "control": by_ben, "overrides": [], "shelved": []});
+    let orders: OperatorOrders = serde_json::from_value(orders).unwrap();
+    let _orders = stage.publish(Key::Observatory(address("callisto"), Part::OperatorOrders), orders).await;
+    let any = |against: &Value, is_it: &dyn Fn(&str) -> bool| {
+        against.as_array().unwrap().iter().any(|why| is_it(why.as_str().unwrap()))
+    };
+    let closed = "it stays closed until `open-again`: ben ordered so at ";
+    let stays_closed = |against: &Value| any(against, &|why| why.starts_with(closed) && why.ends_with("(wet snow)"));
+    let says = |offered: &Value| {
+        let start = offered.as_array().and_then(|all| all.iter().find(|order| order["command"] == "start"));
+        start.is_some_and(|start| stays_closed(&start["against"]))
+    };
+    stage.until(&format!("{COMMANDS}/catalog"), says).await;
+    let (status, state, location) =
+        post(&stage, Some("a"), None, json!({"command": "start", "reason": "it is dry"})).await;
+    assert_eq!((status, &state["state"]), (202, &json!("done")), "{state}");
+    assert!(stays_closed(&state["against"]), "{state}");
+    assert!(!any(&state["against"], &|why| why.contains("give a reason")), "it has one: {state}");
+    assert_eq!(stage.get(&location.unwrap()).await.1["against"], state["against"]);
+    let (_, close, _) = post(&stage, Some("b"), None, json!({"command": "close"})).await;
+    assert_eq!(close["against"], json!([]), "{close}");
+    // At the address of Astra, too.
+    let answer = stage.ask("POST /api/startschedule", "", None).await;
+    assert!(answer.text.contains(&format!("; but {closed}")), "{}", answer.text);
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_close_that_no_observatory_node_answers_is_carried_out_by_the_dome() {
     let stage = Stage::start().await;
     let device = address("callisto").device(Kind::Dome, &"dome_1".parse().unwrap());
@@ -255,7 +288,33 @@ async fn a_close_that_no_observatory_node_answers_is_carried_out_by_the_dome() {
     let (_observatory, orders) = observatory(&stage).await;
     let _night = night(&stage).await;
     let done = stage.until(&location, |state| state["state"] == "done").await;
-    assert!(done["detail"].as_str().unwrap().ends_with("is back, and has taken the order"), "{done}");
+    assert!(done["detail"].as_str().unwrap().ends_with("answers now, and has taken the order"), "{done}");
     assert!(orders.lock().unwrap().iter().any(|order| order.kind == OrderKind::StayClosed(true)));
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_that_only_the_dome_took_is_not_given_any_more_when_a_newer_one_was_taken_from_anybody() {
+    let stage = Stage::start().await;
+    let device = address("callisto").device(Kind::Dome, &"dome_1".parse().unwrap());
+    let _dome = DomeNode::start(&stage.bus, device, "callisto").await;
+    stage.until("/api/v1/network", |network| network["telescopes"][0]["posture_by"] == "domes").await;
+    let body = json!({"command": "stay-closed", "operator": "ana"});
+    let (status, state, location) = post(&stage, Some("a"), None, body).await;
+    assert_eq!((status, &state["state"]), (202, &json!("accepted")), "{state}");
+    let location = location.unwrap();
+    stage.until(&location, |state| state["state"] == "failed").await;
+
+    // The observatory node is back, and has taken an order of somebody else; it answers a moment later.
+    let mut after = sample("observatory.night");
+    after["last_order"] = json!({
+        "id": "newer", "from": "cli/ben@pc", "verb": "robotic", "at_utc": bus::Clock::machine_clock().utc(),
+    });
+    let after: NightState = serde_json::from_value(after).unwrap();
+    let _night = stage.publish(Key::Observatory(address("callisto"), Part::Night), after).await;
+    let is_replaced =
+        |state: &Value| state["detail"].as_str().is_some_and(|detail| detail.contains("a newer order of ben at "));
+    let replaced = stage.until(&location, is_replaced).await;
+    assert_eq!(replaced["state"], "failed", "{replaced}");
     stage.end().await;
 }

@@ -2,6 +2,7 @@
 //! who can do so always remains.
 
 use audit::audit_file::examine;
+use contract::Reason;
 use contract::audit::{AuditOutcome, AuditRecord};
 use serde_json::{Value, json};
 
@@ -141,7 +142,7 @@ async fn what_no_user_can_be_is_refused_with_what_was_expected_and_changes_nothi
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_change_of_users_leaves_a_record_that_holds_no_secret() {
+async fn every_change_of_users_and_every_refusal_of_one_leaves_a_record_that_holds_no_secret() {
     let folder = with_users();
     let stage = Stage::start_with("", folder.path()).await;
     let (eve, ana) = (stage.session("eve").await, stage.session("ana").await);
@@ -151,10 +152,14 @@ async fn every_change_of_users_leaves_a_record_that_holds_no_secret() {
     assert_eq!(put(&stage, &eve, "bob", json!({"password": OTHER})).await.status, 200);
     let token = stage.ask("POST /api/v1/tokens", &ana, Some(&json!({"name": "cron", "days": 1}))).await.json();
     assert_eq!(stage.status("DELETE /api/v1/tokens/cron", &eve).await, 204);
-    // What is refused changes nothing, and is none.
     assert_eq!(delete(&stage, &eve, "eve").await.status, 409);
     assert_eq!(put(&stage, &ana, "zoe", new).await.status, 403);
+    assert_eq!(put(&stage, &ana, "ana", json!({"rights": ["engineer"]})).await.status, 403);
+    assert_eq!(put(&stage, &eve, "bob", json!({"password": [OTHER]})).await.status, 422);
+    assert_eq!(stage.status(USERS, &ana).await, 403, "whoever only looks leaves no record");
     assert_eq!(delete(&stage, &eve, "bob").await.status, 204);
+    let wrong = json!({"old_password": OTHER, "new_password": PASSWORD});
+    assert_eq!(stage.ask(OWN, &ana, Some(&wrong)).await.status, 422);
     let own = stage.ask(OWN, &ana, Some(&json!({"old_password": PASSWORD, "new_password": OTHER}))).await;
     assert_eq!(own.status, 204, "{}", own.text);
     stage.end().await;
@@ -164,11 +169,32 @@ async fn every_change_of_users_leaves_a_record_that_holds_no_secret() {
     assert!(found.broken.is_none() && found.half.is_empty(), "{:?}", found.broken);
     let records: Vec<AuditRecord> = found.good.into_iter().map(|proven| proven.record).collect();
     let what = |record: &AuditRecord| serde_json::from_str::<Value>(&record.parameters).unwrap();
-    let of_users: Vec<_> = records.iter().filter(|record| record.device.starts_with("user/")).collect();
-    assert!(of_users.iter().all(|record| record.outcome == AuditOutcome::Done), "{of_users:?}");
+    let of_users = records.iter().filter(|record| record.device.starts_with("user/"));
+    let (done, not_done): (Vec<_>, Vec<_>) = of_users.partition(|record| record.outcome == AuditOutcome::Done);
     let told: Vec<_> =
-        of_users.iter().map(|one| (one.from.as_str(), one.verb.as_str(), one.device.as_str(), what(one))).collect();
+        done.iter().map(|one| (one.from.as_str(), one.verb.as_str(), one.device.as_str(), what(one))).collect();
     let (eve, ana) = ("web/eve@127.0.0.1", "web/ana@127.0.0.1");
+    let refused: Vec<_> = not_done
+        .iter()
+        .map(|one| match &one.outcome {
+            AuditOutcome::Refused { reason, detail } => {
+                (one.from.as_str(), one.verb.as_str(), one.device.as_str(), *reason, detail.as_str())
+            }
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    let expected = [
+        (eve, "remove_user", "user/eve", Reason::NotNow, "make another engineer first"),
+        (ana, "make_user", "user/zoe", Reason::NotNow, "ana may not do this: it needs the right engineer"),
+        (ana, "change_user", "user/ana", Reason::NotNow, "ana may not do this: it needs the right engineer"),
+        (eve, "change_user", "user/bob", Reason::Malformed, "Something in the request is wrong: /password"),
+        (ana, "change_own_password", "user/ana", Reason::Malformed, "Something in the request is wrong: /old_password"),
+    ];
+    assert_eq!(refused.len(), expected.len(), "{refused:?}");
+    for (found, wanted) in refused.iter().zip(expected) {
+        assert_eq!((found.0, found.1, found.2, found.3), (wanted.0, wanted.1, wanted.2, wanted.3), "{refused:?}");
+        assert!(found.4.contains(wanted.4), "{refused:?}");
+    }
     let changed = json!(["observer", "operator:paranal/io"]);
     let is_now = |before: &Value, password: bool| json!({"rights_before": before, "rights": changed, "other_password": password});
     let expires = &told[3].3["expires_utc"];

@@ -94,7 +94,7 @@ async fn observe(options: &Options, (speed, size_px): (f64, u32), port: u16, fol
         nights.push((listen, plan.night));
     }
     let nodes = Nodes::start(&stations, &endpoint)?;
-    let _running = running::announce("demo", &first.config.address(), &endpoint, &folder.path);
+    let _running = running::announce("demo", &first.config.address(), &endpoint, &folder.path, None);
 
     let total_s = dawn.seconds_since(start) / speed;
     let names: Vec<String> =

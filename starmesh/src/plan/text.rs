@@ -16,11 +16,11 @@ const GB: f64 = 1e9;
 pub fn lines(planned: &[Planned], site: &Site) -> Vec<String> {
     let mut lines = Vec::new();
     match planned {
-        [only] => lines.extend(whole(only)),
-        many => lines.extend(many.iter().flat_map(brief)),
+        [only] => lines.extend(whole(only, site)),
+        many => lines.extend(many.iter().flat_map(|one| brief(one, site))),
     }
     if planned.len() > 1 {
-        lines.push(all(planned));
+        lines.push(all(planned, site));
     }
     lines.push(String::new());
     lines.extend(origin(planned, site));
@@ -28,19 +28,19 @@ pub fn lines(planned: &[Planned], site: &Site) -> Vec<String> {
 }
 
 /// One night in full.
-fn whole(planned: &Planned) -> Vec<String> {
+fn whole(planned: &Planned, site: &Site) -> Vec<String> {
     let night = &planned.night;
     let mut lines = vec![format!("plan of {} (UTC)", planned.file.display())];
     lines.extend(table(&night.rows));
     lines.extend(curves(&night.rows));
     lines.extend(at_risk(night));
-    lines.push(totals(night));
+    lines.push(totals(night, site));
     lines
 }
 
 /// One of many nights: its totals, and what will not run.
-fn brief(planned: &Planned) -> Vec<String> {
-    let mut lines = vec![format!("{}: {}", planned.file.display(), totals(&planned.night))];
+fn brief(planned: &Planned, site: &Site) -> Vec<String> {
+    let mut lines = vec![format!("{}: {}", planned.file.display(), totals(&planned.night, site))];
     lines.extend(planned.night.at_risk().map(|row| format!("  {}", risk(row))));
     lines
 }
@@ -182,12 +182,21 @@ fn risk(row: &PlannedRow) -> String {
     format!("line {}, {} {what} {how}{note}", row.line, row.action)
 }
 
-fn totals(night: &PlannedNight) -> String {
+/// The size of all files, as far as it is known.
+fn size<'a>(nights: impl Iterator<Item = &'a PlannedNight> + Clone, site: &Site) -> String {
+    let is_unknown = |row: &PlannedRow| row.frames > 0 && site.overheads.sensor(row.camera.as_str()).measured == 0;
+    match nights.clone().flat_map(|night| &night.rows).any(is_unknown) {
+        true => "size not known yet".to_owned(),
+        false => format!("{:.1} GB", nights.map(PlannedNight::bytes).sum::<f64>() / GB),
+    }
+}
+
+fn totals(night: &PlannedNight, site: &Site) -> String {
     let closed = night.closed.map(|closed| format!(", closed at {}", closed.strftime("%H:%M:%S"))).unwrap_or_default();
     format!(
-        "{} frames, {:.1} GB; open for {:.1} h{closed}; {}",
+        "{} frames, {}; open for {:.1} h{closed}; {}",
         night.frames(),
-        night.bytes() / GB,
+        size(std::iter::once(night), site),
         night.open_s / 3600.0,
         dark(night.dark_s, night.dark_exposed_s),
     )
@@ -201,13 +210,13 @@ fn dark(dark_s: f64, exposed_s: f64) -> String {
     format!("dark for {:.1} h, of which {:.0} % are exposed", dark_s / 3600.0, share(exposed_s, dark_s))
 }
 
-fn all(planned: &[Planned]) -> String {
+fn all(planned: &[Planned], site: &Site) -> String {
     let sum = |of: fn(&PlannedNight) -> f64| planned.iter().map(|planned| of(&planned.night)).sum::<f64>();
     let frames: u64 = planned.iter().map(|planned| planned.night.frames()).sum();
     format!(
-        "{} schedules: {frames} frames, {:.1} GB; open for {:.1} h; {}",
+        "{} schedules: {frames} frames, {}; open for {:.1} h; {}",
         planned.len(),
-        sum(PlannedNight::bytes) / GB,
+        size(planned.iter().map(|planned| &planned.night), site),
         sum(|night| night.open_s) / 3600.0,
         dark(sum(|night| night.dark_s), sum(|night| night.dark_exposed_s)),
     )
@@ -233,9 +242,14 @@ fn origin(planned: &[Planned], site: &Site) -> Vec<String> {
     cameras.dedup();
     let cameras = cameras.into_iter().map(|name| {
         let sensor = site.overheads.sensor(name);
-        let how = if sensor.measured > 0 { format!("n = {}", sensor.measured) } else { "assumed".to_owned() };
-        let [width, height] = sensor.size_px;
-        format!("frames of {name}: {width} x {height} px, {:.2} bytes each ({how})", sensor.bytes_per_px)
+        let ([width, height], measured) = (sensor.size_px, sensor.measured);
+        match measured {
+            0 => format!("frames of {name}: none is archived, so that the size of their files is not known"),
+            _ => format!(
+                "frames of {name}: {width} x {height} px, {:.2} bytes each (n = {measured})",
+                sensor.bytes_per_px
+            ),
+        }
     });
     let list = |what: &str, of: Vec<String>| {
         let none = || "none".to_owned();

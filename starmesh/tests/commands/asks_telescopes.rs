@@ -19,7 +19,7 @@ use crate::command::{Output, starmesh};
 const FORGED: &str = "x\nparanal/io SAFE\u{1b}[2J\u{9b}2J\u{2028}y";
 
 /// A telescope on a bus of its own that publishes what a test wants, and the address of that bus.
-struct Telescope {
+pub struct Telescope {
     bus: Bus,
     connect: String,
     /// The state that it publishes.
@@ -34,7 +34,7 @@ impl Telescope {
     }
 
     /// A telescope whose observatory node commands.
-    async fn command(bus: Bus, address: Address) -> Self {
+    pub async fn command(bus: Bus, address: Address) -> Self {
         let connect = bus.locators().await.first().unwrap().clone();
         let shown_at = Key::Observatory(address.clone(), Part::Night);
         let (order, check) = (Key::Order(address.clone()), Key::ScheduleCheck(address));
@@ -204,7 +204,7 @@ async fn text_from_the_bus_forges_no_line_and_steers_no_terminal() {
     telescope.night.send_modify(|night| night.actions.push(serde_json::from_value(step).unwrap()));
 
     for (arguments, lines) in [
-        (&["status"][..], 3),
+        (&["status"][..], 4),
         (&["schedule", "rows", "paranal/callisto"], 4),
         (&["order", "paranal/callisto", "reload"], 1),
     ] {

@@ -1,6 +1,12 @@
 //! `starmesh check` of a schedule: every finding with its place, a caret under it, and the exit code.
 
+use std::collections::BTreeMap;
 use std::fs;
+
+use bus::Clock;
+use contract::device::DeviceDescription;
+use contract::device::filter_wheel::Capabilities;
+use contract::{Address, Key, Kind};
 
 use crate::command::starmesh;
 
@@ -81,4 +87,57 @@ fn findings_are_printed_with_their_places_and_only_errors_fail() {
         output.out,
         output.err
     );
+}
+
+#[test]
+fn the_rows_of_a_schedule_are_read_also_where_the_configuration_is_not_valid() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let wrong = SITE.replace("horizon = \"wall.txt\"", "horizon = 5");
+    fs::write(file("observatory.toml"), wrong).unwrap();
+    let night = row(r#"{"object": "x", "exptime": -1, "n": 5,}"#, "05:00:00").replace("main", "unknown");
+    fs::write(file("schedule.jsonl"), night).unwrap();
+    for name in ["observatory.toml", "schedule.jsonl"] {
+        let output = starmesh(["check", file(name).as_str()]);
+        let all = format!("{}{}", output.out, output.err);
+        assert!(!output.success && all.contains("horizon") && all.contains("is not a valid configuration"), "{all}");
+        let told = ["leave out the comma before it", "error: exptime: expected", "not checked: devices and sky"];
+        assert!(told.iter().all(|words| output.out.contains(words)), "{name}: {all}");
+        assert!(!all.contains("no camera is named"), "its name may be what is wrong: {all}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_filter_is_looked_for_in_the_wheel_itself_where_the_bus_is_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    fs::write(file("observatory.toml"), SITE.replace("horizon = \"wall.txt\"\n", "")).unwrap();
+    let with_filter = r#"{"object": "x", "exptime": 60, "ra": 50, "dec": -30, "filter": "V"}"#;
+    fs::write(file("night.jsonl"), row(with_filter, "05:00:00")).unwrap();
+    let bus = test_support::private_bus(Clock::machine_clock()).await;
+    let connect = bus.locators().await.first().unwrap().clone();
+    let wheel = Address::new("paranal", "callisto").unwrap().device(Kind::FilterWheel, &"wheel".parse().unwrap());
+    let publisher = bus.publisher::<DeviceDescription<Capabilities>>(&Key::Capabilities(wheel)).await.unwrap();
+    let description = DeviceDescription {
+        server: "10.0.0.5:11111".to_owned(),
+        number: 0,
+        device_name: "wheel".to_owned(),
+        driver: "1".to_owned(),
+        interface_version: 3,
+        simulated: false,
+        can: Capabilities { names: vec!["B".to_owned(), "R".to_owned()], focus_offsets: vec![0, 0] },
+        unread: BTreeMap::new(),
+    };
+    publisher.put(description).await.unwrap();
+    let check = async |more: &[&str]| {
+        let mut arguments = vec!["check".to_owned(), file("night.jsonl")];
+        arguments.extend(more.iter().map(|word| (*word).to_owned()));
+        tokio::task::spawn_blocking(move || starmesh(arguments)).await.unwrap()
+    };
+    let alone = check(&[]).await;
+    assert!(alone.success && alone.out.contains("not checked: filters of wheel"), "{}{}", alone.out, alone.err);
+    let asked = check(&["--no-multicast", "--connect", connect.as_str()]).await;
+    let all = format!("{}{}", asked.out, asked.err);
+    assert!(!asked.success && all.contains("filter: wheel has no filter \"V\"; "), "{all}");
+    assert!(!all.contains("not checked"), "{all}");
 }

@@ -82,6 +82,31 @@ fn each_violation_is_printed_with_its_rule_and_the_copy_has_none() {
 }
 
 #[test]
+fn a_check_lists_first_what_no_copy_mends_and_ends_with_the_command_that_mends_the_rest() {
+    let folder = tempfile::tempdir().unwrap();
+    let (first, second) = (frame(folder.path(), "a.fits", "P-1"), frame(folder.path(), "my b.fits", ""));
+    with_sums(&first);
+    let checked = fits(&["check", "--profile", "lco"], &[&first]);
+    let command = format!("starmesh fits convert --profile lco --out copies {}", first.display());
+    let end = format!("; a copy has none of them: {command}");
+    assert!(!checked.success && checked.err.trim_end().ends_with(&end), "{}", checked.err);
+    with_sums(&second);
+    let checked = fits(&["check", "--profile", "lco"], &[&first, &second]);
+    let lines: Vec<&str> = checked.out.lines().collect();
+    assert!(lines[0].contains("my b.fits: PROPID is missing"), "{}", checked.out);
+    let is_of_first = |line: &&str| line.starts_with(&first.display().to_string());
+    assert!(lines.iter().filter(|line| is_of_first(line)).count() > 5, "{}", checked.out);
+    let (words, mended) = ("; 1 of them, which are listed first, would be in a copy too", lines.len() - 1);
+    let rest = format!("; the other {mended} are mended in a copy: starmesh fits convert --profile lco --out copies ");
+    let typed = format!("{} '{}'", first.display(), second.display());
+    assert!(checked.err.contains(words) && checked.err.contains(&rest), "{}", checked.err);
+    assert!(checked.err.trim_end().ends_with(&typed), "{}", checked.err);
+    // What is only looked at has no copy that is better.
+    let checked = fits(&["check"], &[&frame(folder.path(), "c.fits", "")]);
+    assert!(!checked.err.contains("convert"), "{}", checked.err);
+}
+
+#[test]
 fn files_that_cannot_be_read_are_named_and_the_others_are_checked() {
     let folder = tempfile::tempdir().unwrap();
     let file = frame(folder.path(), "a.fits", "");

@@ -1,14 +1,23 @@
 //! A telescope whose observatory node is gone: it is seen, explained and closed by its dome's device node. And a bus that
 //! is found without its address.
 
+use std::time::Duration;
+
 use bus::{Bus, Clock};
 use contract::device::dome::Command as DomeCommand;
-use contract::{Address, Kind};
+use contract::observatory::NightState;
+use contract::{Address, Key, Kind, Part};
 use serde_json::json;
 use sysinfo::{Pid, ProcessesToUpdate, System};
-use test_support::DomeNode;
+use test_support::{DomeNode, until};
+use tokio::sync::watch;
 
+use crate::asks_telescopes::Telescope;
 use crate::command::{Output, starmesh, starmesh_of};
+
+fn europa() -> Address {
+    Address::new("paranal", "europa").unwrap()
+}
 
 /// A bus with the device node of the dome of `paranal/europa`, and no observatory node.
 struct Alone {
@@ -21,9 +30,12 @@ impl Alone {
     async fn start() -> Self {
         let bus = test_support::private_bus(Clock::machine_clock()).await;
         let connect = bus.locators().await.first().unwrap().clone();
-        let europa = Address::new("paranal", "europa").unwrap();
-        let dome = europa.device(Kind::Dome, &"dome_1".parse().unwrap());
+        let dome = europa().device(Kind::Dome, &"dome_1".parse().unwrap());
         Self { dome: DomeNode::start(&bus, dome, "europa").await, bus, connect }
+    }
+
+    async fn until_the_dome_is_told(&self) {
+        until("the dome is told to close", || !self.dome.commands.lock().unwrap().is_empty()).await;
     }
 
     async fn starmesh(&self, arguments: &[&str]) -> Output {
@@ -47,7 +59,8 @@ async fn a_telescope_without_an_observatory_node_shows_its_dome_its_alerts_and_w
         "{lines:#?}"
     );
     assert!(lines[3].contains("nodes of this telescope that answer: device/enclosure"), "{lines:#?}");
-    assert!(lines[4].contains("critical dome-not-closed/dome_1: it is half open"), "{lines:#?}");
+    assert_eq!(lines[4], "    alerts: 1 active; those of the observatory node are not known");
+    assert!(lines[5].contains("critical dome-not-closed/dome_1: it is half open"), "{lines:#?}");
     alone.bus.close().await;
 }
 
@@ -84,6 +97,45 @@ async fn a_close_order_that_no_observatory_node_answers_goes_to_the_dome_and_no_
 
     let output = alone.starmesh(&["order", "paranal/eropa", "close"]).await;
     assert!(!output.success && output.err.contains("did you mean paranal/europa?"), "{}", output.err);
+    alone.bus.close().await;
+}
+
+const STAY_CLOSED: [&str; 5] = ["order", "paranal/europa", "stay-closed", "--give-on", "120"];
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_close_order_prints_that_the_observatory_node_answers_after_all() {
+    let alone = Alone::start().await;
+    let back = async {
+        alone.until_the_dome_is_told().await;
+        Telescope::command(alone.bus.clone(), europa()).await
+    };
+    let (output, _europa) = tokio::join!(alone.starmesh(&STAY_CLOSED), back);
+    assert!(output.success, "{}{}", output.out, output.err);
+    let silent = output.out.find("no observatory node of paranal/europa has answered yet");
+    assert!(silent.is_some() && silent < output.out.find("answers now"), "{}", output.out);
+    alone.bus.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_close_order_that_only_the_dome_took_ends_with_an_error_when_a_newer_one_was_taken_from_somebody_else() {
+    let alone = Alone::start().await;
+    let ordered_otherwise = async {
+        alone.until_the_dome_is_told().await;
+        let newer = json!({ "id": "newer", "from": "web/ben", "verb": "robotic", "at_utc": alone.bus.clock().utc() });
+        let night = json!({
+            "robotic": true, "posture": "closed", "actions": [], "frames": 0, "open_s": 0.0, "speed": 1.0, "simulated": false,
+            "ended": false, "last_order": newer,
+        });
+        let (_night, shown) = watch::channel(serde_json::from_value::<NightState>(night).unwrap());
+        let nights = alone.bus.publisher(&Key::Observatory(europa(), Part::Night)).await.unwrap();
+        nights.follow(shown, Duration::from_secs(1)).await.unwrap();
+    };
+    let output = tokio::select! {
+        output = alone.starmesh(&STAY_CLOSED) => output,
+        () = ordered_otherwise => panic!("nothing was published any more"),
+    };
+    assert!(!output.success && output.err.contains("it was only closed"), "{}{}", output.out, output.err);
+    assert!(output.err.contains("has taken a newer order of ben at "), "{}", output.err);
     alone.bus.close().await;
 }
 

@@ -9,7 +9,7 @@ use bus::Latest;
 use contract::node::NodeState;
 use contract::observatory::Alerts;
 use contract::{Address, Key, NodeTopic, Payload, Role};
-use test_support::{Harness, HarnessOptions, SITE, TELESCOPE, long_row};
+use test_support::{Harness, HarnessOptions, LIMIT, SITE, TELESCOPE, long_row};
 
 /// What a node of the test's telescope publishes.
 async fn latest<T: Payload>(harness: &Harness, role: Role, id: &str, topic: NodeTopic) -> anyhow::Result<Latest<T>> {
@@ -80,5 +80,58 @@ async fn a_node_that_hangs_under_up_is_ended_and_started_again_and_an_alert_repo
     let (well, log) = stop(&harness, up).await?;
     hung.map_err(|error| anyhow::anyhow!("{error}\n{log}"))?;
     assert!(well && log.contains("it did not report for 20 s"), "{log}");
+    Ok(())
+}
+
+/// Types a command until it prints what is wanted: nodes take some seconds to take the place of `up`.
+async fn until_printed(harness: &Harness, words: &[&str], wanted: &str) -> anyhow::Result<()> {
+    let began = Instant::now();
+    loop {
+        let printed = harness.starmesh(words).await.unwrap_or_else(|error| format!("{error:#}"));
+        if printed.contains(wanted) {
+            return Ok(());
+        }
+        anyhow::ensure!(began.elapsed() < LIMIT, "{words:?} never printed {wanted:?}:\n{printed}");
+    }
+}
+
+/// Does a node publish that has not said that it ends?
+fn runs(state: &Latest<NodeState>) -> bool {
+    state.get().is_some_and(|state| state.sample.body.stopped.is_none())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn device_nodes_of_an_up_that_was_killed_are_found_ordered_and_followed_by_the_next_up() -> anyhow::Result<()> {
+    let harness = Harness::new(HarnessOptions::default(), long_row).await?;
+    let guard: Latest<NodeState> = latest(&harness, Role::Device, "enclosure", NodeTopic::State).await?;
+    let observatory: Latest<NodeState> = latest(&harness, Role::Observatory, "main", NodeTopic::State).await?;
+    let mut up = harness.up()?;
+    let found = async {
+        harness.until("the nodes run", 90.0, |_| guard.get().is_some() && runs(&observatory)).await?;
+        up.kill()?;
+        up.wait()?;
+        harness.until("the observatory node ends with `up`", 90.0, |_| !runs(&observatory)).await?;
+        // Nobody names an address, and nothing is found by multicast.
+        let status = ["status", "--no-multicast", "--seconds", "5"];
+        until_printed(&harness, &status, "nodes of this telescope that answer: device/enclosure, device/main").await?;
+        let address = format!("{SITE}/{TELESCOPE}");
+        let close = ["order", &address, "close", "--no-multicast", "--operator", "ana", "--give-on", "0"];
+        until_printed(&harness, &close, "verified closed by the guard").await
+    };
+    let found = found.await;
+    // Whatever failed, it does not run on, and the next one ends what it left.
+    let _ = up.kill();
+    let _ = up.wait();
+    let again = harness.up()?;
+    let is_up = |harness: &Harness| {
+        runs(&observatory)
+            && std::fs::read_to_string(harness.path("up.log")).is_ok_and(|log| log.contains("5 of 5 nodes started"))
+    };
+    let runs_again = harness.until("the nodes of the next one run", 120.0, is_up).await;
+    let (well, log) = stop(&harness, again).await?;
+    found.map_err(|error| anyhow::anyhow!("{error:#}\n{log}"))?;
+    runs_again?;
+    assert!(well && log.contains("left the device node enclosure as process "), "{log}");
+    assert!(log.contains(&format!("{SITE}/{TELESCOPE} works through its schedule by itself")), "{log}");
     Ok(())
 }

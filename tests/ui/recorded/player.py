@@ -8,7 +8,8 @@ web node follows, the pixels of the recorded frames, and for a test:
 - `POST /now` `{KEY: BODY}`: one more payload, published at once.
 - `POST /raw` `{KEY: TEXT}`: a payload as it is, valid or not, with each beat. `POST /reset`: the recording again.
 
-States are published twice a second with new numbers, so that they stay fresh at the receiver. Keys are without `starmesh/v1/`.
+States are published once a second with new numbers, so that they stay fresh at the receiver, and what a test changes is published at once. Keys are without
+`starmesh/v1/`.
 """
 
 import array
@@ -28,7 +29,7 @@ import zenoh
 
 ROOT = "starmesh/v1/"
 SIDE = 256
-BEAT_S = 0.5
+BEAT_S = 1.0
 
 
 def stars(width: int, height: int) -> bytes:
@@ -115,7 +116,7 @@ class Recording:
 class Player:
     def __init__(self, recording: Recording):
         self.recording = recording
-        self.lock = threading.Lock()
+        self.lock = threading.RLock()
         self.orders: list[dict] = []
         self.seq: dict[str, int] = {}
         config = zenoh.Config()
@@ -153,15 +154,27 @@ class Player:
 
     def play(self) -> None:
         while True:
-            with self.lock:
-                states, raw, events = list(self.states.items()), list(self.raw.items()), list(self.events)
-            for key, body in states:
-                self.put(key, json.dumps(self.stamped(key, body)))
-            for key, text in raw:
-                self.put(key, text)
-            for key, body in events:
-                self.put(key, json.dumps(body))
+            self.publish()
+            self.tell()
             time.sleep(BEAT_S)
+
+    def publish(self, keys=None) -> None:
+        """States as they are now, all where none are named. No thread publishes an older one after a newer one of another."""
+        with self.lock:
+            keys = list(keys or self.states | self.raw)
+        for key in keys:
+            with self.lock:
+                if key in self.states:
+                    self.put(key, json.dumps(self.stamped(key, self.states[key])))
+                if key in self.raw:
+                    self.put(key, self.raw[key])
+
+    def tell(self) -> None:
+        """All events, in their order: a receiver that has got a later one takes no earlier one."""
+        with self.lock:
+            events = list(self.events)
+        for key, body in events:
+            self.put(key, json.dumps(body))
 
     def put(self, key: str, text: str) -> None:
         self.session.put(ROOT + key, text, encoding=zenoh.Encoding.APPLICATION_JSON)
@@ -246,17 +259,21 @@ def main() -> None:
                             player.states.pop(key, None)
                         else:
                             player.states[key] = one
+                player.publish(body)
             elif self.path == "/raw":
                 with player.lock:
                     player.raw.update(body)
+                player.publish(body)
             elif self.path == "/events":
                 player.note(body)
+                player.tell()
             elif self.path == "/now":
                 for key, one in body.items():
                     player.put(key, json.dumps(player.stamped(key, one)))
             elif self.path == "/reset":
                 player.reset()
                 player.orders.clear()
+                player.publish()
             self.give(b"{}")
 
         def log_message(self, *_) -> None:

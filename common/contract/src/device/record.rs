@@ -1,4 +1,5 @@
-//! The states that a device node stores after it published them: the evidence that outlives an observatory node.
+//! The states that a device node stores after it published them: the evidence that outlives an observatory node, and a
+//! restart of the device node itself.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +22,8 @@ impl Payload for RecordQuestion {
 
 /// The published states, oldest first and without a gap in their numbers; `F` being the typed fields of the kind.
 ///
-/// It begins where the memory of the device node does: with its incarnation, or with the oldest state that it keeps.
+/// It begins where the memory of the device node does: with the oldest state that it keeps, which an earlier
+/// incarnation may have published.
 #[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct StateRecord<F> {
     /// The incarnation of the device node that published them.
@@ -29,6 +31,21 @@ pub struct StateRecord<F> {
     /// Sky seconds in a machine second, which turns the ages into sky time.
     pub speed: f64,
     /// The states.
+    pub entries: Vec<StateEntry<F>>,
+    /// Those that earlier incarnations published, of the oldest one first, as this one found them on its disk.
+    // A path, because a bare `default` would ask for one of `F`.
+    #[serde(default = "Vec::<EarlierStates<F>>::new", skip_serializing_if = "Vec::is_empty")]
+    pub earlier: Vec<EarlierStates<F>>,
+}
+
+/// The states of an earlier incarnation, oldest first and without a gap in their numbers. Its last ones may be absent:
+/// it need not have written them.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "{F}EarlierStates")]
+pub struct EarlierStates<F> {
+    /// The incarnation of the device node that published them.
+    pub boot_id: BootId,
+    /// The states; their ages are those of this answer, too.
     pub entries: Vec<StateEntry<F>>,
 }
 

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::record::StateRecord;
 use crate::{Datum, DeviceKind, Kind, Payload};
 
 /// The safety monitor, ASCOM SafetyMonitor.
@@ -38,6 +39,10 @@ pub struct Fields {
 
 impl Payload for Fields {
     const NAME: &'static str = "safetymonitor.state";
+}
+
+impl Payload for StateRecord<Fields> {
+    const NAME: &'static str = "safetymonitor.record";
 }
 
 /// Nothing can be asked of a safety monitor.

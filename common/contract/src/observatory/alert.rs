@@ -122,6 +122,38 @@ pub struct Alert {
     pub shelved_reason: Option<String>,
 }
 
+/// Whom an alert needs, in the order in which people should see them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Standing {
+    /// Its cause is there, and nobody sees to it.
+    Active,
+    /// Its cause is there, and somebody sees to it or has shelved it.
+    SeenTo,
+    /// Its cause is gone; it stays until somebody acknowledges it.
+    Gone,
+}
+
+impl Alert {
+    /// Whether it needs somebody now.
+    pub fn standing(&self) -> Standing {
+        if self.returned_utc.is_some() {
+            Standing::Gone
+        } else if self.acknowledged_by.is_some() || self.shelved_by.is_some() {
+            Standing::SeenTo
+        } else {
+            Standing::Active
+        }
+    }
+
+    /// Sorts alerts for people: those that need somebody first and those whose cause is gone last; of each the most urgent
+    /// first, then the oldest.
+    pub fn sort_for_people(alerts: &mut [Self]) {
+        alerts.sort_by(|a, b| {
+            (a.standing(), a.priority, a.raised_utc, &a.id).cmp(&(b.standing(), b.priority, b.raised_utc, &b.id))
+        });
+    }
+}
+
 /// One list of several, the most urgent first; of two with one id the more urgent, then the older. Of the notifications
 /// of one alert to one receiver the last one counts.
 pub fn merge(lists: impl Iterator<Item = Alerts>) -> Alerts {
@@ -172,5 +204,27 @@ mod tests {
         let found: Vec<_> =
             merged.alerts.iter().map(|a| (a.id.as_str(), a.raised_utc.seconds_since(Utc::EPOCH))).collect();
         assert_eq!(found, [("dome-not-closed/a", 9.0), ("dome-held/a", 2.0), ("cooling-failed/a", 1.0)]);
+    }
+
+    #[test]
+    fn people_see_first_what_needs_somebody_and_last_what_is_over() {
+        let at = Utc::from_seconds;
+        let alert = |kind: AlertKind, name: &str, at_s| kind.alert(name, at(at_s), "c");
+        let gone = Alert { returned_utc: Some(at(9.0)), ..alert(AlertKind::DomeNotClosed, "gone", 1.0) };
+        let over = Alert { acknowledged_by: Some("ana".to_owned()), ..gone.clone() };
+        let seen = Alert { acknowledged_by: Some("ana".to_owned()), ..alert(AlertKind::DomeNotClosed, "seen", 2.0) };
+        let shelved = Alert { shelved_by: Some("ben".to_owned()), ..alert(AlertKind::DomeHeld, "shelved", 1.0) };
+        assert_eq!(
+            [&gone, &over, &seen, &shelved].map(Alert::standing),
+            [Standing::Gone, Standing::Gone, Standing::SeenTo, Standing::SeenTo]
+        );
+        let mild = alert(AlertKind::CoolingFailed, "mild", 1.0);
+        let held = |name, at_s| alert(AlertKind::DomeHeld, name, at_s);
+        let mut alerts = vec![gone, shelved, seen, mild, held("b", 4.0), held("a", 3.0)];
+        Alert::sort_for_people(&mut alerts);
+        let ids: Vec<&str> = alerts.iter().map(|alert| alert.id.as_str()).collect();
+        let (active, others) = ids.split_at(3);
+        assert_eq!(active, ["dome-held/a", "dome-held/b", "cooling-failed/mild"]);
+        assert_eq!(others, ["dome-not-closed/seen", "dome-held/shelved", "dome-not-closed/gone"]);
     }
 }

@@ -58,9 +58,9 @@ catalogue! {
     /// A dome opened and no node had commanded it. Somebody stands at it, another program drives it, or its controller
     /// has a fault. Ask who is on site before you touch anything.
     DomeUncommandedOpen: enclosure::DOME_UNCOMMANDED_OPEN,
-    /// The device node of an enclosure and the guard process around it both guard it. One of them does not start, has ended
-    /// again and again, hangs, or cannot do its part: the configuration is broken, for example. The cause says which one,
-    /// and why. The other one guards alone.
+    /// The device node of an enclosure and the guard process around it both guard it. One of them has not for 10 s, or has
+    /// ended again and again: it does not start, hangs, or cannot do its part, since the configuration is broken, for
+    /// example. The cause says which one, and why. The other one guards alone.
     GuardProcess: enclosure::GUARD_PROCESS,
     /// The roof must close, may not close over a telescope that is not parked (`parked_only`), and the mount does not
     /// park.
@@ -97,7 +97,8 @@ catalogue! {
     /// The device node that grants the lease of a telescope had lost its file of tokens, or had an older copy of it, and
     /// went on from the newest token that somebody showed it.
     LeaseCountLost: network::LEASE_COUNT_LOST,
-    /// A node that published is silent now: it ended, hangs, or its host or the network is down.
+    /// A node that published is silent now: it ended, hangs, or its host or the network is down. The time counts from the
+    /// last that was received of it.
     NodeSilent: network::NODE_SILENT,
     /// A node hung and was ended by its supervisor, or ended three times within ten minutes without being asked to. The cause
     /// says how it ended last, such as by which signal.

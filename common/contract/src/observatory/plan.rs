@@ -107,7 +107,7 @@ pub struct RowPlan {
     pub frames_wanted: Option<u32>,
     /// Time exposed, s.
     pub exposed_s: f64,
-    /// Size of its files.
+    /// Size of its files; 0 while it is not known, since no frame of its camera is archived.
     pub gigabytes: f64,
     /// Lowest altitude of its target while it runs, degrees, without refraction.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -144,7 +144,7 @@ pub struct NightPlan {
     pub rows_at_risk: u32,
     /// Frames that count.
     pub frames: u64,
-    /// Size of all files.
+    /// Size of all files, except for those of cameras of which no frame is archived.
     pub gigabytes: f64,
     /// How long the roof is open, s.
     pub open_s: f64,
@@ -181,6 +181,6 @@ pub struct SensorFigure {
     pub height_px: u32,
     /// Bytes of a stored file per pixel, headers included.
     pub bytes_per_px: f64,
-    /// Of so many frames; 0: assumed.
+    /// Of so many frames; 0: none is archived, and the other figures are 0, too.
     pub measured: u32,
 }

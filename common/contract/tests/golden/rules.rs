@@ -119,8 +119,10 @@ fn words() -> BTreeMap<String, BTreeMap<String, Vec<String>>> {
     put("dome.guard", "action", words_of::<dome::GuardAction>(json!("?")));
     put("covercalibrator.state", "fields.cover", words_of::<cover_calibrator::Cover>(json!("?")));
     put("covercalibrator.state", "fields.calibrator", words_of::<cover_calibrator::Calibrator>(json!("?")));
-    for record in ["observingconditions.record", "switch.record"] {
-        put(record, "entries.*.link.is", words_of::<Link>(json!({"is": "?"})));
+    for record in ["safetymonitor.record", "observingconditions.record", "switch.record"] {
+        for entries in ["earlier.*.entries", "entries"] {
+            put(record, &format!("{entries}.*.link.is"), words_of::<Link>(json!({"is": "?"})));
+        }
     }
     put("schedule.plan", "rows.*.status", words_of::<observatory::RowStatus>(json!("?")));
     put("schedule.plan", "findings.*.severity", words_of::<observatory::Severity>(json!("?")));

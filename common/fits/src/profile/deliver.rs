@@ -9,7 +9,7 @@ use std::io::{self, BufWriter, ErrorKind, Read, Seek as _, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use super::cards::{CardEntry, CardList};
-use super::check::{Violation, of_standard, public_at_once, violations, wrong_sums, wrong_sums_behind};
+use super::check::{Violation, check, of_standard, public_at_once, violations, wrong_sums, wrong_sums_behind};
 use super::convert::{convert, file_name, value_without_form};
 use super::source::SourceFile;
 use super::{Profile, SUMS, is_structural};
@@ -36,6 +36,15 @@ pub struct CopyPlan {
     pub name: String,
     /// What a person should know before it leaves the house, such as that its archive shows it to everybody at once.
     pub warnings: Vec<String>,
+}
+
+/// What breaks the rules of a profile in a file, by what would become of it in a copy.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Checked {
+    /// What a copy would have, too, or what keeps it from being made.
+    pub left: Vec<Violation>,
+    /// What no copy has.
+    pub mended: Vec<Violation>,
 }
 
 /// Why no copy was made. No file got the name of the copy, and no file was changed.
@@ -151,6 +160,24 @@ pub fn plan_copy(source: &Path, profile: &Profile, values: &[(String, String)]) 
     Ok(CopyPlan { name, warnings: public_at_once(&made, profile) })
 }
 
+/// What [`check`] finds, divided by what [`deliver_copy`] mends.
+///
+/// # Errors
+/// The file cannot be read, or is no FITS file with an image in its first part.
+pub fn check_copy(source: &Path, profile: &Profile) -> Result<Checked, FitsError> {
+    let found = check(source, profile)?;
+    let file = SourceFile::open(source).map_err(|fault| FitsError { file: source.to_owned(), fault })?;
+    let name = plain_name(&file, source);
+    let mut left = violations(&convert(&file.cards, &name, profile), profile);
+    left.iter_mut().for_each(|violation| explain_missing(violation, &file.cards, &name, profile));
+    // A file whose sums are not right is not the one that was written, and is not copied.
+    let is_of_sums = |found: &Violation| SUMS.iter().any(|keyword| found.keyword.split(' ').next() == Some(*keyword));
+    let (sums, mut mended): (Vec<Violation>, Vec<Violation>) = found.into_iter().partition(is_of_sums);
+    left.extend(sums);
+    mended.retain(|found| left.iter().all(|left| left.keyword != found.keyword));
+    Ok(Checked { left, mended })
+}
+
 /// Whether a keyword can be given to the copies of a profile.
 ///
 /// # Errors
@@ -166,11 +193,7 @@ fn made_header(
     profile: &Profile,
     values: &[(String, String)],
 ) -> Result<(CardList, String), DeliveryError> {
-    let mut source_name = source.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    if file.is_tiled && source_name.ends_with(".fz") {
-        // The copy is the plain file, and has the name of that.
-        source_name.truncate(source_name.len() - ".fz".len());
-    }
+    let source_name = plain_name(file, source);
     let mut known = file.cards.clone();
     for (keyword, value) in values {
         let is_text = profile.wants_text(keyword) || known.text(keyword).is_some();
@@ -185,6 +208,15 @@ fn made_header(
     let name = file_name(&made, &source_name, profile);
     let name = name.map_err(|keyword| DeliveryError::Name { file: source.to_owned(), keyword })?;
     Ok((made, name))
+}
+
+/// The name of a file, without the ending of one in compressed tiles: its copy is the plain file.
+fn plain_name(file: &SourceFile, source: &Path) -> String {
+    let mut name = source.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    if file.is_tiled && name.ends_with(".fz") {
+        name.truncate(name.len() - ".fz".len());
+    }
+    name
 }
 
 /// A keyword that is missing because its value has no form in FITS: says so, with the value.

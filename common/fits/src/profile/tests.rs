@@ -239,6 +239,31 @@ fn a_copy_that_its_archive_would_refuse_is_not_written() {
 }
 
 #[test]
+fn what_a_copy_mends_is_told_apart_from_what_its_archive_would_refuse() {
+    let (folder, lco) = (tempfile::tempdir().unwrap(), profile(ProfileName::Lco));
+    let whole = file(folder.path(), "a.fits", &LIGHT);
+    let found = check_copy(&whole, &lco).unwrap();
+    assert!(found.left.is_empty() && !found.mended.is_empty(), "{found:?}");
+    assert_eq!(found.mended, check(&whole, &lco).unwrap());
+    let mut records = LIGHT.to_vec();
+    records.retain(|record| !record.starts_with("PROGID"));
+    let keywords = |found: &[Violation]| found.iter().map(|one| one.keyword.clone()).collect::<Vec<_>>();
+    let without = check_copy(&file(folder.path(), "b.fits", &records), &lco).unwrap();
+    assert_eq!(keywords(&without.left), ["PROPID"], "nobody's proposal is made up");
+    assert!(!without.mended.is_empty() && !keywords(&without.mended).contains(&"PROPID".to_owned()));
+    // The copy of the profile astra is the file: it mends nothing.
+    let twice = [&LIGHT[..], &["FRAMEID = 'again'"]].concat();
+    let astra = check_copy(&file(folder.path(), "c.fits", &twice), &profile(ProfileName::Astra)).unwrap();
+    assert!(!astra.left.is_empty() && astra.mended.is_empty(), "{astra:?}");
+    // A damaged file gets no copy.
+    let mut bytes = fs::read(&whole).unwrap();
+    let first_pixel = bytes.len() - 2880;
+    bytes[first_pixel] ^= 1;
+    fs::write(&whole, bytes).unwrap();
+    assert_eq!(keywords(&check_copy(&whole, &lco).unwrap().left), ["DATASUM", "CHECKSUM"]);
+}
+
+#[test]
 fn nothing_is_overwritten_and_the_same_copy_is_found_again() {
     let (folder, target) = folders();
     let source = file(folder.path(), "a.fits", &LIGHT);

@@ -73,12 +73,12 @@ pub struct Sensor {
     pub size_px: [u32; 2],
     /// Bytes of a stored file per pixel, headers included.
     pub bytes_per_px: f64,
-    /// Of so many frames; 0: assumed.
+    /// Of so many frames; 0: nothing is known.
     pub measured: usize,
 }
 
-/// The sensor of an unknown camera: 4096 x 4096 px of 16 bits.
-const UNKNOWN: Sensor = Sensor { size_px: [4096, 4096], bytes_per_px: 2.0, measured: 0 };
+/// The sensor of a camera without frames: any size that was assumed could be a hundred times too large or too small.
+const UNKNOWN: Sensor = Sensor { size_px: [0, 0], bytes_per_px: 0.0, measured: 0 };
 
 /// The overheads of all steps.
 #[derive(Debug, Clone, PartialEq)]

@@ -54,7 +54,7 @@ pub struct PlannedRow {
     pub frames_wanted: Option<u32>,
     /// Time exposed, s.
     pub exposed_s: f64,
-    /// Of all its files.
+    /// Of all its files; 0 while no frame of its camera is known.
     pub bytes: f64,
     /// The altitudes of its target.
     pub heights: Option<Heights>,

@@ -25,7 +25,7 @@ use crate::fields::defaults_of;
 pub use crate::horizon_limits::read as horizon;
 use crate::names;
 use crate::parse::{Reading, read_with};
-use crate::row::Row;
+use crate::row::{PartOfRow, Row};
 
 /// The facts with which rows are compared.
 #[derive(Debug, Clone)]
@@ -65,9 +65,12 @@ impl KnownFacts {
         Self { config, filters, horizons, unread, names, now: None }
     }
 
-    /// With the filters that a wheel reports, which count before those of the configuration.
+    /// With the filters that a wheel reports, which count before those of the configuration. It has the latter where it
+    /// reports none, or has not been read yet.
     pub fn with_filters(mut self, wheel: &Name, filters: Vec<String>) -> Self {
-        self.filters.insert(wheel.clone(), filters);
+        if !filters.is_empty() {
+            self.filters.insert(wheel.clone(), filters);
+        }
         self
     }
 
@@ -81,12 +84,12 @@ impl KnownFacts {
         self.config.camera.iter().map(|camera| camera.common.name.clone()).collect()
     }
 
-    fn camera(&self, row: &Row) -> Option<&config::Camera> {
-        self.config.camera.iter().find(|camera| camera.common.name == row.camera)
+    fn camera(&self, name: &Name) -> Option<&config::Camera> {
+        self.config.camera.iter().find(|camera| camera.common.name == *name)
     }
 
     fn mount(&self, row: &Row) -> Option<&config::Telescope> {
-        let name = self.camera(row)?.telescope.as_ref();
+        let name = self.camera(&row.camera)?.telescope.as_ref();
         self.config.telescope.iter().find(|mount| Some(&mount.common.name) == name)
     }
 }
@@ -96,16 +99,16 @@ impl KnownFacts {
 /// # Errors
 /// All findings that refuse the file.
 pub fn accept(text: &str, known: &KnownFacts) -> Result<Vec<Row>, Fault> {
-    let Reading { rows, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
-    findings.extend(device::check(&rows, known));
+    let Reading { rows, parts, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
+    findings.extend(device::check(&rows, &parts, known));
     in_order(&mut findings, MOST_FINDINGS);
     if findings.is_empty() { Ok(rows) } else { Err(Fault { findings }) }
 }
 
 /// All findings of a schedule.
 pub fn validate(text: &str, known: &KnownFacts) -> ScheduleFindings {
-    let Reading { rows, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
-    let (found, unchecked) = survey(&rows, known);
+    let Reading { rows, parts, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
+    let (found, unchecked) = compared(&rows, &parts, known);
     findings.extend(found);
     let (errors, warnings) = in_order(&mut findings, MOST_FINDINGS);
     let rows = u32::try_from(rows.len()).unwrap_or(u32::MAX);
@@ -114,11 +117,16 @@ pub fn validate(text: &str, known: &KnownFacts) -> ScheduleFindings {
 
 /// The findings of rows that were read, in the order of the file, and what could not be checked.
 pub fn survey(rows: &[Row], known: &KnownFacts) -> (Vec<Finding>, Vec<String>) {
+    compared(rows, &[], known)
+}
+
+/// As [`survey`], also of rows that could be read in part.
+fn compared(rows: &[Row], parts: &[PartOfRow], known: &KnownFacts) -> (Vec<Finding>, Vec<String>) {
     let mut unchecked = known.unread.clone();
-    unchecked.extend(device::unchecked(rows, known));
+    unchecked.extend(device::unchecked(rows, parts, known));
     unchecked.extend(visibility::unchecked(rows, known));
-    let mut findings = device::check(rows, known);
-    findings.extend(window::check(rows, known.now));
+    let mut findings = device::check(rows, parts, known);
+    findings.extend(window::check(rows, parts, known.now));
     findings.extend(duration::check(rows, known));
     findings.extend(overlap::check(rows, known));
     match SkyTable::new(&known.config.place) {

@@ -5,7 +5,8 @@
 
 use std::path::Path;
 
-use schedule::plan::{PlannedNight, PlannedRow, forecast};
+use schedule::plan::overheads::Sensor;
+use schedule::plan::{PlannedNight, PlannedRow, Site, forecast};
 use units::Utc;
 
 /// Times of a file are as good as this, s: directions of slews are written to the hundredth of a degree.
@@ -42,7 +43,10 @@ impl<'a> Expected<'a> {
 }
 
 fn plan(text: &str) -> PlannedNight {
-    let mut site = super::site();
+    plan_at(super::site(), text)
+}
+
+fn plan_at(mut site: Site, text: &str) -> PlannedNight {
     let bad = text.lines().filter_map(|line| line.strip_prefix("// unsafe:"));
     site.unsafe_spans = bad
         .map(|span| {
@@ -91,8 +95,12 @@ fn a_plan_gives_altitudes_bytes_and_the_use_of_the_dark() {
     let night = plan(text);
     let row = &night.rows[0];
     assert!(row.is_whole(), "{row:?}");
-    // 2048 x 2048 px of 2 bytes, by assumption.
-    assert_eq!((row.frames, row.bytes), (60, 60.0 * 2.0 * 2048.0 * 2048.0));
+    assert_eq!((row.frames, row.bytes), (60, 0.0), "no frame was archived, which would show the size of all");
+    let mut site = super::site();
+    let sensor = Sensor { size_px: [4096, 4096], bytes_per_px: 2.1, measured: 7 };
+    site.overheads.sensors.insert("main".to_owned(), sensor);
+    let bytes = plan_at(site, text).bytes();
+    assert!((bytes / (60.0 * 2.1 * 2048.0 * 2048.0) - 1.0).abs() < 1e-12, "bin 2: {bytes}");
     let heights = row.heights.as_ref().unwrap();
     // ra 45 passes the zenith of latitude -24.6 at some 03:40 UTC.
     assert!(heights.max_deg > 89.0 && (60.0..85.0).contains(&heights.min_deg), "{heights:?}");

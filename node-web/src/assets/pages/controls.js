@@ -5,7 +5,7 @@ import { CloseButton, note } from "../close.js";
 import { Field, title, valuesOf } from "../form.js";
 import { clock, duration } from "../format.js";
 import { Card, Dialog, Icon, Loaded, Table, standing } from "../parts.js";
-import { skyAgeOf, tick, useTopic } from "../store.js";
+import { link, skyAgeOf, tick, useTopic } from "../store.js";
 import { Input, inputValue } from "../inputs.js";
 import { me } from "../user.js";
 
@@ -38,17 +38,20 @@ export function HoldButton({ text, disabled, onDone, cls = "" }) {
   return html`<button type="button" class=${`btn hold ${on.value ? "on" : ""} ${cls}`} disabled=${disabled} onPointerDown=${begin} onPointerUp=${end} onPointerLeave=${end} onPointerCancel=${end} onBlur=${end} onKeyDown=${key} onKeyUp=${end}><span>${text}</span></button>`;
 }
 
+/** What became of a given order, and what stood against it. */
+const said = (one) => [one.detail, ...(one.against ?? [])].filter(Boolean).join("; ");
+
 /** Follows an order to its end, in words. */
 async function give(id, order, parameters, reason) {
   const say = note(`${id}: ${order} is being sent …`, true);
   try {
     let state = await command(id, order, { ...parameters, reason });
     for (let i = 0; i < 320 && ["sent", "accepted"].includes(state.state); i += 1) {
-      say(`${id}: ${order} ${state.state}${state.detail ? `: ${state.detail}` : ""} …`, false);
+      say(`${id}: ${order} ${state.state}${said(state) ? `: ${said(state)}` : ""} …`, false);
       await new Promise((resolve) => { setTimeout(resolve, 1000); });
       state = await ask(`/api/v1/commands/${state.id}`);
     }
-    say(`${id}: ${order} ${state.state}${state.detail ? `: ${state.detail}` : ""}`);
+    say(`${id}: ${order} ${state.state}${said(state) ? `: ${said(state)}` : ""}`);
   } catch (error) {
     say(`${id}: ${order} was not taken: ${error.message}`);
   }
@@ -68,14 +71,15 @@ export function Order({ id, order, close, reload = () => {}, preset = {}, about 
   return html`<${Dialog} label=${title(order.command)} close=${close}><h2>${title(order.command)} ${about}?</h2><p class="m"><${Words} text=${order.meaning} /></p>
     <form ref=${form} class="stack" onSubmit=${(event) => { event.preventDefault(); if (order.closes) send(); }}>${properties.map(([path, schema]) => html`<${Field} key=${path} path=${path} schema=${schema} required=${(order.parameters.required ?? []).includes(path)} />`)}
       <div class="field"><label for="reason">Why${order.needs_reason ? "" : " (may be left empty)"}</label><div class="in"><input id="reason" name="reason" maxlength="500" required=${order.needs_reason} data-first /></div></div>
-      ${order.against.length > 0 && html`<ul class="locks">${order.against.map((text) => html`<li key=${text} class="no"><${Icon} name="x" />${text}</li>`)}</ul>`}
+      ${order.against.length > 0 && html`<ul class="locks">${order.against.map((text) => html`<li key=${text} class="no"><${Icon} name="x" /><span><${Words} text=${text} /></span></li>`)}</ul>`}
       <div class="acts"><button type="button" class="btn soft" onClick=${close}>Cancel</button>${order.closes ? html`<button class="btn close"><span>${title(order.command)}</span></button>` : html`<${HoldButton} text=${`Hold to ${order.command.replaceAll("-", " ")}`} onDone=${send} />`}</div></form><//>`;
 }
 
 function Group({ name, hint, orders, onChoose }) {
   if (!orders.length) return null;
+  const offline = link.value !== "live";
   return html`<${Card} name=${name} end=${hint}><ul class="ctls">${orders.map((order) => html`<li class="ctl" key=${order.command} data-testid="order" data-order=${order.command}><div class="grow"><b>${title(order.command)}</b><div class="why"><${Words} text=${order.meaning} /></div>
-    ${!order.may && html`<div class="why">You may not: it needs the right <b>${order.right}</b>.</div>`}${order.may && order.against.length > 0 && html`<div class="why">Now: ${order.against.join("; ")}.</div>`}</div><button type="button" class="btn soft sm" disabled=${!order.may} onClick=${() => onChoose(order)}>${title(order.command)} …</button></li>`)}</ul><//>`;
+    ${order.may && offline && html`<div class="why">No link to the server: nothing can be ordered.</div>`}${!order.may && html`<div class="why">You may not: it needs the right <b>${order.right}</b>.</div>`}${order.may && order.against.length > 0 && html`<div class="why">Now: <${Words} text=${order.against.join("; ")} />.</div>`}</div><button type="button" class="btn soft sm" disabled=${!order.may || offline} onClick=${() => onChoose(order)}>${title(order.command)} …</button></li>`)}</ul><//>`;
 }
 
 function MayOpen({ id }) {
@@ -100,7 +104,7 @@ export function Controls({ id, summary }) {
   const choose = (order) => { chosen.value = order; };
   return html`<div class="grid g-side"><div class="stack"><${Card} name="Always available" end="towards safe: no unlock"><${CloseButton} id=${id} xl named cls="desk" /><p class="why">${now.posture === "closed" ? "It is closed now. Closing again does no harm." : `The dome is ${now.posture === "unknown" ? "in a state that nobody knows" : now.posture}.`}</p><//>
       <${Loaded} of=${catalogue} what="The list of orders">${() => html`<${Group} name="Towards safe" hint="one confirmation" orders=${orders.filter((order) => order.closes)} onChoose=${choose} /><${Group} name="Routine" hint="held for 1.5 s" orders=${orders.filter((order) => !order.closes && !sky.has(order.command))} onChoose=${choose} /><${Group} name="Towards the sky" hint="held for 1.5 s" orders=${orders.filter((order) => !order.closes && sky.has(order.command))} onChoose=${choose} />`}<//></div>
-    <div class="stack"><${MayOpen} id=${id} /><${Card} name="Given orders" flush><${Loaded} of=${given} what="The list">${(list) => ((list.items ?? list).length ? html`<${Table} label="Given orders" columns=${[{ key: "o", name: "Order" }, { key: "b", name: "By" }, { key: "s", name: "State" }]} rows=${list.items ?? list} keyOf=${(one) => one.id} cells=${(one) => html`<td class="k">${one.command}</td><td>${one.requested_by}</td><td>${one.state}${one.detail ? html` <span class="m">${one.detail}</span>` : ""} <span class="mm">${one.events?.[0]?.at_utc ? clock(one.events[0].at_utc) : ""}</span></td>`} />` : html`<p class="m pad">None was given at this server.</p>`)}<//><//>
+    <div class="stack"><${MayOpen} id=${id} /><${Card} name="Given orders" flush><${Loaded} of=${given} what="The list">${(list) => ((list.items ?? list).length ? html`<${Table} label="Given orders" columns=${[{ key: "o", name: "Order" }, { key: "b", name: "By" }, { key: "s", name: "State" }]} rows=${list.items ?? list} keyOf=${(one) => one.id} cells=${(one) => html`<td class="k">${one.command}</td><td>${one.requested_by}</td><td>${one.state}${said(one) ? html` <span class="m"><${Words} text=${said(one)} /></span>` : ""} <span class="mm">${one.events?.[0]?.at_utc ? clock(one.events[0].at_utc) : ""}</span></td>`} />` : html`<p class="m pad">None was given at this server.</p>`)}<//><//>
       <${Card} name="Who you are"><p>${me.value ? html`<b>${me.value.name}</b>, ${me.value.rights?.map((right) => (typeof right === "string" ? right : JSON.stringify(right))).join(", ") || "no rights"}` : "not known"}</p><//></div></div>
     ${chosen.value && html`<${Order} key=${chosen.value.command} id=${id} order=${chosen.value} close=${() => { chosen.value = null; }} reload=${() => { catalogue.again(); given.again(); }} />`}`;
 }

@@ -56,10 +56,8 @@ function Version({ id, version, onBring }) {
         <div class="row wrap pad"><button class="btn soft" onClick=${() => onBring(found.value.text, number)}>Bring this one back …</button><span class="why">It becomes the draft. Nothing is in force until you activate that.</span></div>`}<//>`;
 }
 
-function Versions({ id, sha256, onBring }) {
-  const limit = useSignal(LISTED);
+function Versions({ id, sha256, list, limit, onBring }) {
   const looked = useSignal(null);
-  const list = useGet(`${base(id)}/revisions?limit=${limit.value}`, 60);
   useEffect(() => { if (list.data) list.again(); }, [sha256]);
   return html`<${Card} name="Schedules that were in force" flush><${Loaded} of=${list} what="The list">${(all) => html`<${Table} label="Versions" cls="cards" columns=${[{ key: "v", name: "Version" }, { key: "t", name: "From" }, { key: "a", name: "By" }, { key: "r", name: "Why" }, { key: "n", name: "Rows", num: true }, { key: "d", name: "" }]} rows=${all} keyOf=${(one) => one.version} rowProps=${(one) => ({ "data-testid": "version-row", "aria-selected": one.version === looked.value?.version })} cells=${(one) => html`<td class="k">${one.version}</td><td>${`${one.at_utc}`.slice(0, 10)} ${clock(one.at_utc)}</td><td>${one.author}</td><td>${one.reason ?? ""}</td><td class="num">${one.rows}<span class="phone"> rows</span></td><td>${one.sha256 === sha256 ? html`<span class="m">in force</span>` : html`<button class="btn sm soft" onClick=${() => { looked.value = one; }}>Differences<span class="vh"> of version ${one.version}</span></button>`}</td>`} />
       ${all.length >= limit.value && limit.value < MOST_LISTED && html`<p class="pad"><button class="btn sm soft" onClick=${() => { limit.value = Math.min(MOST_LISTED, 10 * limit.value); }}>Older ones</button></p>`}`}<//><//>
@@ -77,6 +75,10 @@ export function Schedule({ id }) {
   const Editor = useSignal(null);
   const draft = useMemo(() => draftOf(id), [id]);
   const problem = useSignal(null);
+  const limit = useSignal(LISTED);
+  const versions = useGet(entry && `${base(id)}/revisions?limit=${limit.value}`, 60);
+  // The number in the list is the one that everybody is told; the node's own begins anew with each start.
+  const version = Array.isArray(versions.data) ? versions.data.find((one) => one.sha256 === entry?.body.sha256)?.version : null;
   const report = useReport(id, tonight(summary));
   const close = () => { Editor.value = null; };
   const edit = async (first = async () => {}) => {
@@ -90,9 +92,9 @@ export function Schedule({ id }) {
   };
   const running = (Array.isArray(entry?.body.rows) ? entry.body.rows : []).filter((row) => row?.status === "running").map((row) => row.start_utc).join(" ");
   // Drawn for its own changes, not with each second.
-  const editor = useMemo(() => Editor.value && html`<${Editor.value} id=${id} draft=${draft} revision=${entry?.body.revision} sha256=${entry?.body.sha256} running=${running} site=${site} close=${close} />`, [Editor.value, draft, entry?.body.revision, entry?.body.sha256, running, site?.lat, site?.lon]);
+  const editor = useMemo(() => Editor.value && html`<${Editor.value} id=${id} draft=${draft} version=${version} sha256=${entry?.body.sha256} running=${running} site=${site} close=${close} />`, [Editor.value, draft, version, entry?.body.sha256, running, site?.lat, site?.lon]);
   if (!entry) return html`<p class="m">No schedule received yet.</p>`;
-  const { rows, file, revision, refused } = entry.body;
+  const { rows, file, refused } = entry.body;
   const { worth, until } = stateOf(states, `${id}/observatory/schedule/state`);
   const bring = (text, number) => edit(async () => {
     await draft.begin();
@@ -103,6 +105,6 @@ export function Schedule({ id }) {
     ${editor ? html`<div class="row wrap"><span class="grow m">Nothing of the draft is in force until it is activated.</span><button class="btn soft" onClick=${close}>Close the draft</button></div>${editor}`
     : html`<${Card} name="The night" end=${html`<${OldNight} report=${report} plan=${plan} /><${Keys} />`} cls="tl"><${Night} rows=${rows} plan=${plan.data?.rows} report=${report.data} site=${site} now=${skyNow()} /><//>
     ${refused && html`<div class="note p2"><span class="grow"><b>The file's newest text was not taken.</b> ${refused}</span></div>`}
-    <${Card} name="Rows of tonight" flush end=${html`${worth !== "fresh" && html`<span class="ink-stale" data-testid="was">as of ${hourMinute(until)}; not known since</span>`}<span class="mono">${file}</span>, version ${revision} <button class="btn sm soft" onClick=${() => edit()}>Edit a draft</button>`}><${Rows} id=${id} sha256=${entry.body.sha256} rows=${rows} plan=${plan.data} /><//>`}
-    <${Versions} id=${id} sha256=${entry.body.sha256} onBring=${bring} />`;
+    <${Card} name="Rows of tonight" flush end=${html`${worth !== "fresh" && html`<span class="ink-stale" data-testid="was">as of ${hourMinute(until)}; not known since</span>`}<span class="mono">${file}</span>${version == null ? "" : `, version ${version}`} <button class="btn sm soft" onClick=${() => edit()}>Edit a draft</button>`}><${Rows} id=${id} sha256=${entry.body.sha256} rows=${rows} plan=${plan.data} /><//>`}
+    <${Versions} id=${id} sha256=${entry.body.sha256} list=${versions} limit=${limit} onBring=${bring} />`;
 }

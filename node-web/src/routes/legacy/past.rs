@@ -19,7 +19,6 @@ use users::Principal;
 use super::{instead, the_telescope};
 use crate::freshness::Quality;
 use crate::json_body::AskedFor;
-use crate::place;
 use crate::problem::Problem;
 use crate::routes::heartbeat::legacy_time;
 use crate::routes::history::asked;
@@ -310,7 +309,7 @@ fn limits(server: &Server, address: &Address) -> BTreeMap<String, Bounds> {
 
 /// Day, twilight and night over a time; none where the place is not known.
 async fn twilight(server: &Server, address: &Address, from: Utc, to: Utc) -> Vec<Twilight> {
-    let Some((place, orientation)) = place::of(&server.network.read(), address) else { return Vec::new() };
+    let Some((place, orientation)) = server.network.read().place(address) else { return Vec::new() };
     let worked_out = tokio::task::spawn_blocking(move || -> Result<Vec<Twilight>, sky::SkyError> {
         let mut changes = vec![from, to];
         let mut noon = from.plus_seconds(-DAY_S);

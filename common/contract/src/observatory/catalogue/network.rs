@@ -24,7 +24,7 @@ pub(super) const NODE_SILENT: AlertEntry = AlertEntry {
     instance: "ROLE/NODE",
     consequence: "The values that it published last are no longer true.",
     action: "Look at its host and restart it.",
-    on_delay_s: 10,
+    on_delay_s: 15,
     ..HIGH
 };
 
