@@ -97,7 +97,7 @@ def night(starmesh, tmp_path_factory) -> Night:
     if given := os.environ.get("STARMESH_NIGHT"):
         return Night(pathlib.Path(given))
     folder = tmp_path_factory.mktemp("demo") / "night"
-    subprocess.run([starmesh, "demo", "--speed", "600", "--size-px", "1024", "--port", str(free_port()), "--keep", str(folder)],
+    subprocess.run([starmesh, "demo", "--speed", "300", "--size-px", "1024", "--port", str(free_port()), "--keep", str(folder)],
                    capture_output=True, timeout=600, check=False)
     return Night(folder)
 

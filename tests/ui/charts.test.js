@@ -10,7 +10,7 @@ const id = "demo/alpha";
 
 const minute = (n) => new Date(Date.parse("2026-11-27T01:55:00Z") + n * 60e3).toISOString();
 const CURVE = { object: "WASP-18", filter: "R", camera: "camera", comparison_stars: 4, points: Array.from({ length: 30 }, (_, n) => ({ mid_utc: minute(n), flux: n === 7 ? null : 1 + n / 1000, flux_error: 0.001, fwhm_arcsec: 2 + n / 100, sky_adu: 700 + n, dx_px: n / 50, dy_px: -n / 50, airmass: 1.1 })) };
-const { run: RUN } = JSON.parse(readFileSync(join(import.meta.dirname, "../../common/contract/golden/v1/observatory.focus.json"), "utf8"));
+const [{ run: RUN }] = JSON.parse(readFileSync(join(import.meta.dirname, "../../common/contract/golden/v1/observatory.focus.json"), "utf8"));
 
 const [bus, browser] = await withBrowser(startRecorded());
 const states = await bus.states();

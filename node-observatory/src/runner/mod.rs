@@ -141,9 +141,14 @@ impl Runner {
             self.tools.night.moved_to(begun.number, place.map(number));
         }
         let mut known: BTreeMap<&RowId, RowStatus> = BTreeMap::new();
+        let machine = self.tools.authority.node.bus.clock().machine();
+        // A row that rests does so under a new lease, too, and says why; what another node wrote of it counts before that.
+        let stays = |id: &RowId| {
+            is_same_reign || self.rests.rests(id, machine) && self.tools.journal.progress(id).ended.is_none()
+        };
         self.tools.night.schedule(|schedule| {
             let before = std::mem::take(&mut schedule.rows);
-            let states = self.sequence.rows().iter().map(|row| &row.id).zip(before).filter(|_| is_same_reign);
+            let states = self.sequence.rows().iter().map(|row| &row.id).zip(before).filter(|(id, _)| stays(id));
             let states: BTreeMap<&RowId, RowState> = states.collect();
             let rows = loaded.rows.iter().zip(0..);
             schedule.revision = loaded.revision;

@@ -266,6 +266,11 @@ async fn a_row_that_rests_for_a_silent_camera_goes_on_when_it_answers() {
             .is_some_and(|schedule| schedule.rows[0].detail.contains(", or when paranal/callisto/camera/cam answers"))
     };
     site.until("resting", MOST, rests).await;
+    // Somebody else had the lease for a moment.
+    let other = site.tokens.fetch_add(1, Ordering::SeqCst) + 1;
+    let commands_again = |site: &Site| site.tokens.load(Ordering::SeqCst) > other && statuses(site).len() == 1;
+    site.until("in command again", MOST, commands_again).await;
+    site.until("resting under the new lease", MOST, rests).await;
     assert_eq!(site.exposures(), 0);
     site.camera.state.send_modify(|state| state.link = contract::Link::Connected);
     site.until("finished", MOST, |site| statuses(site) == [RowStatus::Finished]).await;

@@ -18,6 +18,7 @@ const SILENT: Duration = Duration::from_secs(5);
 pub struct Keeper {
     pub hold: Arc<AtomicBool>,
     pub lease_held: Arc<AtomicBool>,
+    pub tokens: Arc<AtomicU64>,
     pub clock: Clock,
     pub turn_deg_per_s: Arc<Mutex<Option<f64>>>,
     pub turned: Arc<Mutex<Vec<Instant>>>,
@@ -51,8 +52,8 @@ impl Keeper {
         let permit: Latest<Permit> = bus.latest(&Key::Permit(address.clone(), dome.key.name.clone())).await.unwrap();
         let lease = bus.latest(&Key::Observatory(address.clone(), Part::Lease)).await.unwrap();
         let guard = bus.publisher::<Guard>(&Key::Guard(dome.key.clone())).await.unwrap();
-        let (numbers, tokens) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
-        let Self { hold, lease_held, clock, turn_deg_per_s, turned } = self;
+        let numbers = Arc::new(AtomicU64::new(0));
+        let Self { hold, lease_held, tokens, clock, turn_deg_per_s, turned } = self;
         let (counter, token, held, shutter) = (numbers.clone(), tokens.clone(), hold.clone(), dome.clone());
         tokio::spawn(async move {
             loop {

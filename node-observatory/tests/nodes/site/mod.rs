@@ -2,7 +2,7 @@
 
 mod keeper;
 
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -175,6 +175,8 @@ pub struct Site {
     pub tracks_on: Arc<AtomicBool>,
     /// Somebody else has the lease.
     pub lease_held: Arc<AtomicBool>,
+    /// The newest token that was granted; a greater one is somebody else's.
+    pub tokens: Arc<AtomicU64>,
     /// How fast the dome turns, degrees per sky second: at 0 it hangs. None for a roof.
     pub turn_deg_per_s: Arc<Mutex<Option<f64>>>,
     /// When each turn of the dome was over.
@@ -241,9 +243,11 @@ impl Site {
         let purposes = Arc::default();
         let tracks_on = Arc::<AtomicBool>::default();
         let (hold, lease_held) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
+        let tokens = Arc::<AtomicU64>::default();
         let keeper = Keeper {
             hold: hold.clone(),
             lease_held: lease_held.clone(),
+            tokens: tokens.clone(),
             clock: clock.clone(),
             turn_deg_per_s: turn_deg_per_s.clone(),
             turned: turned.clone(),
@@ -270,6 +274,7 @@ impl Site {
             hold,
             tracks_on,
             lease_held,
+            tokens,
             turn_deg_per_s,
             turned,
             shutter_of_camera,
