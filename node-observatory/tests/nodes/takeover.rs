@@ -1,6 +1,7 @@
 //! A standby with a data folder of its own takes over what people ordered, and orders are on disk before they count.
 
 use std::path::PathBuf;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use contract::device::dome::{Command as Dome, Shutter};
@@ -103,18 +104,20 @@ async fn a_standby_that_never_received_from_the_commander_stays_closed_until_a_p
     let opened = openings(&site);
     let second = site.start_as("second", "data-second").await;
     site.until("shut", MOST, is_shut).await;
-    site.until("it says why", MOST, |site| reason(site).contains("token 1 were not received")).await;
+    site.until("it says why", MOST, |site| reason(site).contains(" were not received")).await;
     assert_eq!(openings(&site), opened);
     accepted(site.order(OrderKind::StayClosed(false)).await);
     site.until("open again", MOST, is_open).await;
     // A restart knows this: it released the lease, and is granted it at once.
     second.stop().await;
     let moved = site.dome.log.lock().unwrap().len();
+    let held = site.tokens.load(Ordering::SeqCst);
     let second = site.start_as("second", "data-second").await;
     let key = Key::Observatory(site.address.clone(), Part::OperatorOrders);
     let orders = site.bus.latest::<OperatorOrders>(&key).await.unwrap();
-    site.until("it commands", MOST, |_| orders.get().is_some_and(|received| received.sample.body.token == Some(3)))
-        .await;
+    // On a busy machine it may be granted more than one.
+    let commands = |_: &Site| orders.get().is_some_and(|received| received.sample.body.token > Some(held));
+    site.until("it commands", MOST, commands).await;
     tokio::time::sleep(Duration::from_secs(2)).await;
     assert_eq!(orders.get().unwrap().sample.body.stay_closed, None);
     assert_eq!(site.dome.log.lock().unwrap().len(), moved, "and nothing moves for it");
