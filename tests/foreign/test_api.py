@@ -279,8 +279,8 @@ def test_odd_subscriptions_cost_the_server_nothing_and_lose_nobody(page):
     assert [message["op"] for message in messages if message.get("topic") == "log"].count("snap") == 1
     program.send(op="sub", topics=["log?"])
     assert "already" in program.until(lambda message: message["op"] == "err")["data"]["detail"]
-    program.send(op="sub", topics=[f"tel/demo/alpha/device/{n}" for n in range(70)])
-    assert "64" in program.until(lambda message: message["op"] == "err")["data"]["detail"]
+    program.send(op="sub", topics=[f"tel/demo/alpha/device/{n}" for n in range(300)])
+    assert "256" in program.until(lambda message: message["op"] == "err")["data"]["detail"]
     program.until(lambda message: message["op"] == "beat")
 
 

@@ -43,7 +43,13 @@ function App() {
   return html`<${Shell} title=${title}>${inside}<//>`;
 }
 
+/** A key that is held presses a button once: the dialog after this one is not answered by it, too. */
+function pressOnce(event) {
+  if (event.repeat && event.key === "Enter" && event.target.closest?.("button, input")) event.preventDefault();
+}
+
 try {
+  document.addEventListener("keydown", pressOnce);
   follow();
   askUser();
   start();

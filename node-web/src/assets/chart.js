@@ -1,5 +1,5 @@
 // Charts over time: panels one below the other with one cursor (uPlot). The far side of a limit is hatched, and no line crosses a gap.
-import { html, signal, useEffect, useRef, useSignal } from "./lib.js";
+import { html, signal, useEffect, useMemo, useRef, useSignal } from "./lib.js";
 import { clockOn, labels, number, tickOn } from "./format.js";
 import { useNumbers } from "./numbers.js";
 import { TimeTools, useTimeView } from "./timeview.js";
@@ -135,12 +135,17 @@ function draw(plot, panel, shared) {
   ctx.restore();
 }
 
+/** The second colour is also another form, for who sees no colours: hollow dots, broken lines. */
+const isSecond = (one) => one.colour === "--s2";
+/** The form of a series before its name. */
+const keyOf = (one) => (one.kind === "dots" ? (isSecond(one) ? "ring" : "dot") : isSecond(one) ? "dash" : "");
+
 function seriesOf(one, i) {
   const name = one.colour ?? SERIES[i % SERIES.length];
   const colour = () => css(name);
-  if (one.kind === "dots") return { label: one.name, stroke: colour, paths: () => null, points: { show: true, size: one.size ?? 5, stroke: colour, fill: colour, width: 0 } };
+  if (one.kind === "dots") return { label: one.name, stroke: colour, paths: () => null, points: { show: true, size: one.size ?? 5, stroke: colour, fill: isSecond(one) ? () => css("--well") : colour, width: isSecond(one) ? 1.3 : 0 } };
   if (one.kind === "bars") return { label: one.name, stroke: colour, fill: colour, paths: library.peek().paths.bars({ size: [0.6, 6] }), points: { show: false } };
-  return { label: one.name, stroke: colour, width: one.width ?? 1.6, dash: one.dash ?? (document.documentElement.dataset.theme === "night" ? DASH[name] : undefined), points: { show: one.points.length < 3 }, spanGaps: false,
+  return { label: one.name, stroke: colour, width: one.width ?? 1.6, dash: one.dash ?? (isSecond(one) || document.documentElement.dataset.theme === "night" ? DASH[name] : undefined), points: { show: one.points.length < 3 }, spanGaps: false,
     ...(one.stepped && { paths: library.peek().paths.stepped({ align: 1 }) }) };
 }
 
@@ -161,6 +166,16 @@ function options(panel, shared, width, last, onAt) {
       setCursor: [(plot) => onAt(plot.cursor.left < 0 ? null : plot.posToVal(plot.cursor.left, "x") * 1000)],
     },
   };
+}
+
+/** A panel in words: its newest values, its limits, the least and the most. */
+function inWords({ name, unit = "", digits = 1, limits = [], series }) {
+  const say = (value) => `${number(value, digits)} ${unit}`.trim();
+  const known = series.map((one) => one.points.map(([, value]) => value).filter(Number.isFinite));
+  const all = known.flat();
+  if (!all.length) return `${name} not known`;
+  const newest = series.map((one, i) => (one.quiet || !known[i].length ? "" : `${one.name} ${say(known[i][known[i].length - 1])}`.trim())).filter(Boolean);
+  return [`${name} ${newest.join(", ")}`, ...limits.map((limit) => `limit ${say(limit.v)}`), `from ${say(Math.min(...all))} to ${say(Math.max(...all))}`].join(", ").trim();
 }
 
 /** The value of a series nearest to a time. */
@@ -250,11 +265,12 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, label, plain =
     view.press(event);
   };
   const told = label ?? panels.map((panel) => panel.name).join(", ");
+  const summary = useMemo(() => panels.map(inWords).join("; "), [shape]);
   const numbers = useNumbers(told, `${shape} ${view.t0} ${view.t1}`, () => tableOf(panels, view.t0, view.t1));
-  return html`<div class=${`chart live-chart look ${plain ? "plain" : ""}`} data-testid="chart" data-from=${Math.round(view.t0)} data-to=${Math.round(view.t1)} tabindex="0" role="group" aria-label=${label ?? `Chart of ${told} over time; arrow keys move the cursor, plus and minus zoom, 0 shows all`} onKeyDown=${press}><div class="touch" ref=${place}>
+  return html`<div class=${`chart live-chart look ${plain ? "plain" : ""}`} data-testid="chart" data-from=${Math.round(view.t0)} data-to=${Math.round(view.t1)} tabindex="0" role="group" aria-label=${`${label ?? `Chart of ${told} over time; arrow keys move the cursor, plus and minus zoom, 0 shows all`}. ${summary}`} onKeyDown=${press}><div class="touch" ref=${place}>
     ${panels.map((panel) => html`<div class="panel" key=${panel.name}><div class="row between read"><span class="m">${panel.name}</span><span>${panel.series.filter((one) => !one.quiet).map((one) => {
       const found = nearest(one.points, at.value ?? now ?? t1);
-      return html`<span class="nw" key=${one.name}>${one.name && html`<span class="m">${one.name}</span> `}<b>${found ? number(found[1], panel.digits ?? 1) : "—"}</b> </span>`;
+      return html`<span class="nw" key=${one.name}>${one.name && html`<span class=${`m key ${keyOf(one)}`} style=${{ "--c": `var(${one.colour})` }}>${one.name}</span> `}<b>${found ? number(found[1], panel.digits ?? 1) : "—"}</b> </span>`;
     })}<span class="m">${panel.unit ?? ""}${at.value ? ` at ${clockOn(view.t1 - view.t0, at.value)}` : ""}</span></span></div><div class="plot"></div></div>`)}</div>
     ${missing.value && html`<p class="m">The server did not send what draws charts; load the page again.</p>`}
     ${marks?.length > 0 && !plain && html`<p class="tagline">${marks.map((mark) => `${clockOn(t1 - t0, mark.t)} ${mark.text}`).join(" · ")}</p>`}

@@ -38,8 +38,9 @@ export const CloseButton = ({ id, filled = true, sm, xl, named, cls = "" }) => h
 async function close(id) {
   asked.value = null;
   const say = note(`${id}: close is being sent …`, true);
+  let state = null;
   try {
-    let state = await command(id, "close", { reason: "closed at the page" });
+    state = await command(id, "close", { reason: "closed at the page" });
     while (["sent", "accepted"].includes(state.state)) {
       say(`${id}: ${state.state === "sent" ? "close is sent; nobody has answered yet" : "close is accepted; the shutter is not yet verified closed"} …`, false);
       await new Promise((resolve) => { setTimeout(resolve, 1000); });
@@ -47,7 +48,8 @@ async function close(id) {
     }
     say(state.state === "done" ? `${id} is verified closed.` : `${id} is NOT verified closed: ${state.state}. ${state.detail ?? ""} Look at the telescope's page.`);
   } catch (error) {
-    say(`${id}: the close order may not have arrived: ${error.message} Look at the telescope's page, or use: starmesh order ${id} close`);
+    const said = state ? "close was accepted, and what became of it cannot be read" : [403, 422].includes(error.status) ? "close is REFUSED" : "the close order may not have arrived";
+    say(`${id}: ${said}: ${error.message} Look at the telescope's page${state ? "." : `, or use: starmesh order ${id} close`}`);
   }
 }
 

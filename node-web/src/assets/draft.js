@@ -10,6 +10,18 @@ const MOST_STEPS = 100;
 /** The longest text that the server takes, bytes. */
 const MOST_BYTES = 1_000_000;
 
+/** Where this tab keeps the draft of a telescope that is not stored. */
+const IN_TAB = "draft ";
+
+/** With the tab ends what it keeps: the browser asks first. */
+addEventListener("beforeunload", (event) => {
+  try {
+    if (Object.keys(sessionStorage).some((name) => name.startsWith(IN_TAB))) event.preventDefault();
+  } catch {
+    // Nothing is kept where there is no such place.
+  }
+});
+
 /** A text of a schedule with its ETag: the one in force, or a version of before. */
 export async function textAt(path) {
   const response = await fetch(path, { headers: { Accept: "application/jsonl" } }).catch(() => { throw new Failure(0, { detail: "The server does not answer." }); });
@@ -20,7 +32,7 @@ export async function textAt(path) {
 /** The draft of a telescope, as signals and what can be done with it. */
 export function draftOf(id) {
   const name = `${base(id)}/drafts/page`;
-  const inTab = `draft ${id}`;
+  const inTab = `${IN_TAB}${id}`;
   const text = signal(null);
   /** The schedule in force, `{ text, etag }`; where there is none an empty one without ETag. */
   const inForce = signal(null);

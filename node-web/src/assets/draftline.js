@@ -1,6 +1,6 @@
 // A draft over the night: each row is a bar that is dragged, or moved by the arrow keys, as a whole or by one end; below it the dry run and what is in force.
 import { html, useEffect, useMemo, useRef, useSignal } from "./lib.js";
-import { altaz, moon } from "./astro.js";
+import { altaz, moon, ofDate } from "./astro.js";
 import { hourMinute } from "./format.js";
 import { bands, fitted, named, nightSpan, ticks, useWidth } from "./night.js";
 import { nameOf } from "./rowtext.js";
@@ -80,7 +80,7 @@ export function DraftLine({ rows, marked, inForce, plan, site, now, chosen, onCh
   const words = (one) => nameOf(one.row).replace(/^object (?=.)/, "").replaceAll("_", " ");
   const told = (one) => { const [a, b] = now_(one); return `${hourMinute(a)} to ${hourMinute(b)}`; };
 
-  const curves = placed.filter(hasPlace).slice(0, MOST_CURVES).map((one) => { const [a, b] = now_(one); const at = () => one.row.action_value; return { one, isChosen: one.number === chosen?.number, whole: track(t0, t1, at), own: track(Math.max(t0, a), Math.min(t1, b), at) }; });
+  const curves = placed.filter(hasPlace).slice(0, MOST_CURVES).map((one) => { const [a, b] = now_(one); const at = (t) => ofDate(one.row.action_value, t); return { one, isChosen: one.number === chosen?.number, whole: track(t0, t1, at), own: track(Math.max(t0, a), Math.min(t1, b), at) }; });
   const names = named(curves.map(({ one, isChosen, own }) => ({ text: words(one), points: own.filter(([, altitude]) => altitude > 0).map(([t, altitude]) => [X(t), Y(altitude)]), cls: isChosen ? "h" : "c" })).sort((a, b) => (a.cls > b.cls ? -1 : 1)).filter((one, i, all) => all.findIndex(({ text }) => text === one.text) === i), W - 6, TOP, X(now));
 
   // A row that is chosen elsewhere comes into view.

@@ -1,7 +1,7 @@
 // The night on one axis: twilight, altitude of targets and Moon, what was planned, what was done, and what is forecast; of one telescope, or of all.
 import { html, useEffect, useMemo, useRef, useSignal } from "./lib.js";
 import { useReport } from "./api.js";
-import { altaz, moon, twilight } from "./astro.js";
+import { altaz, moon, ofDate, twilight } from "./astro.js";
 import { clock, hourMinute, number } from "./format.js";
 import { inputWords } from "./inputs.js";
 import { Old, answeredAt, standing } from "./parts.js";
@@ -176,7 +176,7 @@ export function Night({ rows = [], plan = [], report = null, verdicts = [], unti
     return out;
   };
   const luna = track(moon, t0, t1);
-  const present = target ? track(() => target, target.from, target.to) : [];
+  const present = target ? track((t) => ofDate(target, t), target.from, target.to) : [];
   const curves = plan.filter((row) => row.altitude_curve?.length && row.row !== target?.row).map((row) => ({ name: words(row.object), points: row.altitude_curve.map((point) => [utc(point.at_utc), point.altitude_deg]).filter(([t]) => t >= t0 && t <= t1) }));
   const inPx = (points) => points.filter(([, altitude]) => altitude !== null).map(([t, altitude]) => [X(t), Y(altitude)]);
   const names = named([{ text: target?.name ?? "", points: inPx(present), cls: "h" }, { text: `Moon ${number(100 * moon(now).lit, 0)} %`, points: inPx(luna), cls: "c" }, ...curves.map(({ name, points }) => ({ text: name, points: inPx(points), cls: "c" }))], W - 6, TOP, X(now));

@@ -1,5 +1,5 @@
 // Pieces that many pages show: icons, words, ages, values, cards. Their looks are those of starmesh.css.
-import { Component, computed, html, useEffect, useRef, useSignal } from "./lib.js";
+import { Component, computed, html, signal, useEffect, useMemo, useRef } from "./lib.js";
 import { clock, duration, hourMinute } from "./format.js";
 import { elapsed } from "./elapsed.js";
 import { link, quality, skyNow, skySpeed, tick } from "./store.js";
@@ -69,7 +69,7 @@ export const isCalm = (alert) => Boolean(alert?.returned_utc || alert?.acknowled
 /** What became of it, in words. */
 export const fate = (alert) => [
   alert.returned_utc && `its cause went away at ${clock(alert.returned_utc)}, and nobody has acknowledged it`,
-  alert.acknowledged_by && `acknowledged by ${alert.acknowledged_by}`,
+  alert.acknowledged_by && `acknowledged by ${alert.acknowledged_by}${alert.acknowledged_utc ? ` at ${clock(alert.acknowledged_utc)}` : ""}`,
   alert.shelved_until_utc && `shelved until ${clock(alert.shelved_until_utc)}: ${alert.shelved_reason ?? ""}`,
 ].filter(Boolean).join(", ");
 
@@ -236,6 +236,12 @@ export function Dialog({ label, close, children, cls = "" }) {
   useEffect(() => {
     const dialog = element.current;
     const before = /** @type {HTMLElement} */ (document.activeElement);
+    // Its first paragraph says what follows from it, and is read out with its name.
+    const what = dialog.querySelector("p");
+    if (what) {
+      what.id = "consequence";
+      dialog.setAttribute("aria-describedby", what.id);
+    }
     dialog.showModal();
     (dialog.querySelector("[data-first]") ?? dialog).focus();
     return () => {
@@ -251,15 +257,22 @@ export function Dialog({ label, close, children, cls = "" }) {
 export const Segment = ({ label, options, value, onChange, cls = "" }) => html`<span class=${`seg ${cls}`} role="group" aria-label=${label}>${options.map(([option, word]) =>
   html`<button key=${option} type="button" aria-pressed=${String(option === value)} onClick=${() => onChange(option)}>${word}</button>`)}</span>`;
 
-/** A table that may scroll sideways. `columns`: `{ key, name, num, sort(row), cls }`; `cells(row)` gives the `<td>`s. */
+/** The order that somebody gave a table, by its page and its name: whoever comes back finds it again. */
+const orders = new Map();
+function orderOf(name, first) {
+  if (!orders.has(name)) orders.set(name, signal(first ?? { key: null, up: true }));
+  return orders.get(name);
+}
+
+/** A table that may scroll sideways. `columns`: `{ key, name, num, sort(row), falls, cls }`, of which one that `falls` has the greatest first; `cells(row)` gives the `<td>`s. */
 export function Table({ label, columns, rows, cells, keyOf, rowProps = noProps, cls = "", sorted = null }) {
-  const order = useSignal(sorted ?? { key: null, up: true });
+  const order = useMemo(() => orderOf(`${location.pathname} ${label}`, sorted), [label]);
   const by = columns.find((column) => column.key === order.value.key);
-  const shown = by?.sort ? [...rows].sort((a, b) => compare(by.sort(a), by.sort(b)) * (order.value.up ? 1 : -1)) : rows;
-  const press = (key) => () => { order.value = { key, up: order.value.key === key ? !order.value.up : true }; };
+  const shown = by?.sort ? [...rows].sort((a, b) => compare(by.sort(a), by.sort(b), order.value.up ? 1 : -1)) : rows;
+  const press = ({ key, falls }) => () => { order.value = { key, up: order.value.key === key ? !order.value.up : !falls }; };
   return html`<div class="tw" tabindex="0" role="group" aria-label=${`${label}, may scroll sideways`}><table class=${cls}>
     <thead><tr>${columns.map((column) => html`<th key=${column.key} scope="col" class=${`${column.num ? "num" : ""} ${column.cls ?? ""}`} data-sort=${column.sort ? "" : null}
-      aria-sort=${by === column ? (order.value.up ? "ascending" : "descending") : null}>${column.sort ? html`<button type="button" onClick=${press(column.key)}>${column.name}</button>` : column.name}</th>`)}</tr></thead>
+      aria-sort=${by === column ? (order.value.up ? "ascending" : "descending") : null}>${column.sort ? html`<button type="button" onClick=${press(column)}>${column.name}</button>` : column.name}</th>`)}</tr></thead>
     <tbody>${shown.map((row) => html`<${Row} key=${keyOf(row)} row=${row} rowProps=${rowProps} cells=${cells} />`)}</tbody></table></div>`;
 }
 
@@ -267,11 +280,12 @@ export function Table({ label, columns, rows, cells, keyOf, rowProps = noProps, 
 const Row = ({ row, rowProps, cells }) => html`<tr ...${rowProps(row)}>${cells(row)}</tr>`;
 const noProps = (_) => ({});
 
-function compare(a, b) {
+/** What has no value comes last, whichever `way` the others go. */
+function compare(a, b, way) {
   if (a === b) return 0;
   if (a === null || a === undefined) return 1;
   if (b === null || b === undefined) return -1;
-  return a < b ? -1 : 1;
+  return a < b ? -way : way;
 }
 
 /** A time of day with its full stamp as title. */

@@ -25,7 +25,7 @@ export function span(values, least = 0) {
 
 /**
  * `points`: `{ x, y, kind: "dot" | "ring" | "hollow" | "cross", error, title }`, one without `y` stands at the foot; `lines`: lists of `[x, y]`; `zone`: a part of x, `best` its middle.
- * `equal`: both axes have one scale, around zero. `table()` gives its heads and rows.
+ * `equal`: both axes have one scale, also on the screen, around zero. `table()` gives its heads and rows.
  */
 export function Plane({ points, lines = [], xName, yName, label, height = 300, width = 380, equal, table, zone = null, best = null }) {
   const [left, bottom, right, top] = [48, 34, 12, 10];
@@ -34,8 +34,9 @@ export function Plane({ points, lines = [], xName, yName, label, height = 300, w
   let ys = span([...points.map((p) => p.y), ...lines.flat().map(([, y]) => y)]);
   if (equal) {
     const most = Math.max(...[...xs, ...ys].map(Math.abs));
-    xs = [-most, most];
-    ys = [-most, most];
+    const aspect = (width - left - right) / (height - bottom - top);
+    xs = [-1, 1].map((side) => side * most * Math.max(1, aspect));
+    ys = [-1, 1].map((side) => side * most * Math.max(1, 1 / aspect));
   }
   const X = (value) => left + ((value - xs[0]) / (xs[1] - xs[0])) * (width - left - right);
   const Y = (value) => height - bottom - ((value - ys[0]) / (ys[1] - ys[0])) * (height - bottom - top);

@@ -12,6 +12,8 @@ import { leave, me } from "./user.js";
 
 const NETWORK_PAGES = [["network", "/", "Network", "network"], ["alerts", "/alerts", "Alerts", "bell"], ["weather", "/weather", "Weather", "cloud"], ["frames", "/frames", "Frames", "image"],
   ["report", "/report", "Night report", "report"], ["log", "/log", "Log", "log"], ["nodes", "/nodes", "Nodes", "nodes"], ["audit", "/audit", "Audit", "hand"], ["settings", "/settings", "Settings", "lock"]];
+/** The shapes of the priorities that call for somebody tonight, for the title of the window. */
+const SHAPES = ["▲", "◆", "▼"];
 const TELESCOPE_PAGES = [["now", "Now"], ["guiding", "Guiding"], ["focus", "Focus"], ["lightcurve", "Light curve"], ["schedule", "Schedule"], ["frames", "Frames"], ["weather", "Weather"], ["devices", "Devices"],
   ["report", "Report"], ["controls", "Controls"], ["log", "Log"], ["audit", "Audit"]];
 
@@ -160,7 +162,8 @@ export function Shell({ title, children }) {
     document.documentElement.dataset.link = link.value;
     document.body.dataset.link = link.value;
     const sums = totals([...net.value.values()]);
-    document.title = `${link.value === "lost" ? "NO LINK – " : ""}${sums.critical ? `▲${sums.critical} ` : ""}${title} – Starmesh`;
+    const highest = PRIORITIES.slice(0, 3).find((word) => sums[word] > 0);
+    document.title = `${link.value === "lost" ? "NO LINK – " : ""}${highest ? `${SHAPES[PRIORITIES.indexOf(highest)]}${sums[highest]} ` : ""}${title} – Starmesh`;
   });
   return html`<${Guard} name="navigation"><${Rail} /><//>
     <div class="col"><${Guard} name="clock and link"><${Top} title=${title} /><//><${Guard} name="banner"><${Banner} /><//>

@@ -8,6 +8,15 @@ export const me = signal(null);
 /** The rights from the least to the greatest, each of which contains those before it. */
 export const RIGHTS = { viewer: "reads everything but secrets", observer: "also closes, and writes drafts", operator: "also opens, starts, puts schedules in force, answers alerts", engineer: "also overrides limits, reads the audit; of all telescopes: changes users, ends sessions of others" };
 
+/** Has this person a right at a telescope, `site/telescope`? Until the server has said who it is, yes: it refuses what must not be. */
+export function may(right, id) {
+  const words = Object.keys(RIGHTS);
+  return !me.value || (me.value.rights ?? []).some((grant) => {
+    const [word, where = "*"] = String(grant).split(":");
+    return words.indexOf(word) >= words.indexOf(right) && (where === "*" || where === id || (where.endsWith("/*") && id.startsWith(where.slice(0, -1))));
+  });
+}
+
 /** May this person change users? */
 export const isEngineer = () => (me.value?.rights ?? []).includes("engineer");
 

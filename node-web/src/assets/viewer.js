@@ -6,7 +6,7 @@ import { drawn, greys, pixelOf, skyOf } from "./pixels.js";
 const TILE = 256;
 const MOST_TILES = 400;
 
-/** Lines of the grid in right ascension and declination, as paths in pixels of the frame. */
+/** Lines of the grid in right ascension and declination: `{ points, name, along }`, in pixels of the frame; `along` is the direction in which the name is looked for. */
 function grid(wcs, width, height) {
   const corners = [[0, 0], [width, 0], [0, height], [width, height]].map(([x, y]) => skyOf(wcs, x, y));
   const centre = skyOf(wcs, width / 2, height / 2);
@@ -17,16 +17,22 @@ function grid(wcs, width, height) {
   const across = step / Math.max(0.05, Math.cos(centre[1] * Math.PI / 180));
   const raStep = [30, 15, 7.5, 3.75, 2.5, 1.25, 0.625, 0.25, 0.125, 0.0625, 0.025].find((one) => one <= across * 1.6) ?? 0.025;
   const lines = [];
-  const path = (points) => points.filter(Boolean).map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
   for (let dec = Math.ceil((low - step) / step) * step; dec <= high + step; dec += step) {
-    lines.push(path(Array.from({ length: 33 }, (_, i) => pixelOf(wcs, centre[0] + (i - 16) * raStep / 4, dec))));
+    lines.push({ name: declination(dec), along: 0, points: Array.from({ length: 33 }, (_, i) => pixelOf(wcs, centre[0] + (i - 16) * raStep / 4, dec)).filter(Boolean) });
   }
   const n = Math.ceil(6);
   for (let i = -n; i <= n; i += 1) {
     const ra = Math.round(centre[0] / raStep + i) * raStep;
-    lines.push(path(Array.from({ length: 25 }, (_, k) => pixelOf(wcs, ra, low - step + ((high - low + 2 * step) * k) / 24))));
+    lines.push({ name: rightAscension(ra).slice(0, 8), along: 1, points: Array.from({ length: 25 }, (_, k) => pixelOf(wcs, ra, low - step + ((high - low + 2 * step) * k) / 24)).filter(Boolean) });
   }
   return lines;
+}
+
+/** Where the name of a line stands: on it, near the left or the upper edge of what is in view, or nowhere. */
+function namePlace({ points, along }, { x, y, w, h, scale }) {
+  const [left, top, right, bottom] = [x + 8 / scale, y + 16 / scale, x + (w - 80) / scale, y + (h - 40) / scale];
+  const all = points.slice(1).flatMap(([bx, by], i) => { const [ax, ay] = points[i]; return Array.from({ length: 40 }, (_, n) => [ax + ((bx - ax) * n) / 40, ay + ((by - ay) * n) / 40]); });
+  return all.filter(([px, py]) => px >= left && px <= right && py >= top && py <= bottom).reduce((best, one) => (!best || one[along] < best[along] ? one : best), null);
 }
 
 /** `tiles`: a `Tiles`; `stretch`: black and white in numbers of tiles, curve, invert; `layers`: a set of `grid`, `target`. `onRead` is told why tiles are missing, null where none is;
@@ -39,6 +45,7 @@ export function Viewer({ tiles, width, height, stretch, zoom, layers, wcs, targe
   const under = useSignal(null);
   const frameOfView = useSignal({ x: 0, y: 0, scale: 1, w: 100, h: 100 });
   const busy = useRef(false);
+  const turn = useRef(0);
 
   const paint = async () => {
     const element = canvas.current;
@@ -60,28 +67,42 @@ export function Viewer({ tiles, width, height, stretch, zoom, layers, wcs, targe
     const factor = 2 ** (highest - z);
     const span = TILE * factor;
     const key = JSON.stringify(stretch);
-    if (pictures.current.key !== key) pictures.current = { key, map: new Map(), table: greys(stretch) };
+    if (pictures.current.key !== key || pictures.current.tiles !== tiles) pictures.current = { key, tiles, map: new Map(), table: greys(stretch) };
     const { map, table } = pictures.current;
     const wanted = [];
     for (let y = Math.max(0, Math.floor(top / span)); y * span < Math.min(height, top + box.height / scale); y += 1) {
       for (let x = Math.max(0, Math.floor(left / span)); x * span < Math.min(width, left + box.width / scale); x += 1) wanted.push([x, y]);
     }
     if (wanted.length > MOST_TILES) return;
-    await Promise.all(wanted.map(async ([x, y]) => {
-      const name = `${z}/${x}/${y}`;
+    const draw = () => {
+      const ctx = element.getContext("2d");
+      ctx.setTransform(1, 0, 0, 1, 0, 0);
+      ctx.fillStyle = "#000";
+      ctx.fillRect(0, 0, element.width, element.height);
+      ctx.imageSmoothingEnabled = scale * factor < 1;
+      const put = (picture, x, y, across, down) => ctx.drawImage(picture, (x - left) * scale * ratio, (y - top) * scale * ratio, across * scale * ratio, down * scale * ratio);
+      // The whole frame is there first; where finer pixels are not, it stands for them.
+      const whole = map.get("0/0/0");
+      if (whole && wanted.some(([x, y]) => !map.has(`${z}/${x}/${y}`))) put(whole, 0, 0, width, height);
+      for (const [x, y] of wanted) {
+        const picture = map.get(`${z}/${x}/${y}`);
+        if (picture) put(picture, x * span, y * span, picture.width * factor, picture.height * factor);
+      }
+    };
+    const read = async (level, x, y) => {
+      const name = `${level}/${x}/${y}`;
       if (map.has(name)) return;
-      const tile = await tiles.get(z, x, y);
+      const tile = await tiles.get(level, x, y);
       if (tile) map.set(name, drawn(tile, table, tiles.blank));
-    })).then(() => onRead?.(null), (error) => onRead?.(error));
-    const ctx = element.getContext("2d");
-    ctx.setTransform(1, 0, 0, 1, 0, 0);
-    ctx.fillStyle = "#000";
-    ctx.fillRect(0, 0, element.width, element.height);
-    ctx.imageSmoothingEnabled = scale * factor < 1;
-    for (const [x, y] of wanted) {
-      const picture = map.get(`${z}/${x}/${y}`);
-      if (picture) ctx.drawImage(picture, (x * span - left) * scale * ratio, (y * span - top) * scale * ratio, picture.width * factor * scale * ratio, picture.height * factor * scale * ratio);
-    }
+    };
+    // Of two that wait for tiles only the later one shows what is in view.
+    turn.current += 1;
+    const mine = turn.current;
+    await read(0, 0, 0).catch(() => {});
+    if (turn.current === mine) draw();
+    await Promise.all(wanted.map(([x, y]) => read(z, x, y))).then(() => onRead?.(null), (error) => onRead?.(error));
+    if (turn.current !== mine) return;
+    draw();
     element.dataset.painted = String(wanted.length);
   };
   const repaint = () => {
@@ -152,7 +173,7 @@ export function Viewer({ tiles, width, height, stretch, zoom, layers, wcs, targe
   const mark = target && pixelOf(wcs, target[0], target[1]);
   const shown = under.value;
   return html`<div class="viewer live" ref=${place} tabindex="0" role="img" aria-label="The frame; drag or arrow keys move it, the wheel zooms" data-testid="viewer" ...${handlers}><canvas ref=${canvas}></canvas>
-    <svg viewBox=${`${now.x} ${now.y} ${now.w / now.scale} ${now.h / now.scale}`} preserveAspectRatio="none" aria-hidden="true">${layers.has("grid") && wcs && grid(wcs, width, height).map((d, i) => html`<path key=${i} class="wcs" d=${d} vector-effect="non-scaling-stroke" />`)}
+    <svg viewBox=${`${now.x} ${now.y} ${now.w / now.scale} ${now.h / now.scale}`} preserveAspectRatio="none" aria-hidden="true">${layers.has("grid") && wcs && grid(wcs, width, height).map((line, i) => { const at = namePlace(line, now); return html`<g key=${i}><path class="wcs" d=${line.points.map(([x, y], n) => `${n ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("")} vector-effect="non-scaling-stroke" />${at && html`<text x=${at[0] + 4 / now.scale} y=${at[1] - 4 / now.scale} style=${{ "--fs": `${12 / now.scale}px`, strokeWidth: `${3 / now.scale}` }}>${line.name}</text>`}</g>`; })}
       ${layers.has("target") && mark && html`<circle class="tgt" cx=${mark[0]} cy=${mark[1]} r=${18 / now.scale} vector-effect="non-scaling-stroke" />`}</svg>
     <div class="hud" data-testid="readout">${shown ? html`<b>x ${shown.px + 1}  y ${shown.py + 1}</b><span>${Number.isFinite(shown.counts) ? `${number(shown.counts, 0)} ADU` : "—"}</span>${shown.sky && html`<span>${rightAscension(shown.sky[0])} ${declination(shown.sky[1])}</span>`}` : html`<span>point at a pixel</span>`}</div></div>`;
 }

@@ -68,7 +68,7 @@ export function Order({ id, order, close, reload = () => {}, preset = {}, about 
     close();
     give(id, order.command, parameters, reason).then(reload);
   };
-  return html`<${Dialog} label=${title(order.command)} close=${close}><h2>${title(order.command)} ${about}?</h2><p class="m"><${Words} text=${order.meaning} /></p>
+  return html`<${Dialog} label=${`${title(order.command)} ${about}?`} close=${close}><h2>${title(order.command)} ${about}?</h2><p class="m"><${Words} text=${order.meaning} /></p>
     <form ref=${form} class="stack" onSubmit=${(event) => { event.preventDefault(); if (order.closes) send(); }}>${properties.map(([path, schema]) => html`<${Field} key=${path} path=${path} schema=${schema} required=${(order.parameters.required ?? []).includes(path)} />`)}
       <div class="field"><label for="reason">Why${order.needs_reason ? "" : " (may be left empty)"}</label><div class="in"><input id="reason" name="reason" maxlength="500" required=${order.needs_reason} data-first /></div></div>
       ${order.against.length > 0 && html`<ul class="locks">${order.against.map((text) => html`<li key=${text} class="no"><${Icon} name="x" /><span><${Words} text=${text} /></span></li>`)}</ul>`}

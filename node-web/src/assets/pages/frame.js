@@ -1,12 +1,12 @@
 // One frame: its pixels with a stretch of one's own, what was measured, its whole header.
-import { html, useEffect, useSignal } from "../lib.js";
+import { html, useEffect, useRef, useSignal } from "../lib.js";
 import { Failure, useGet } from "../api.js";
 import { bytes, clock, declination, number, plain, rightAscension } from "../format.js";
 import { Card, Icon, Loaded, Segment, Stat } from "../parts.js";
 import { CURVES, Tiles, automatic, histogram } from "../pixels.js";
 import { go, route } from "../route.js";
 import { Viewer } from "../viewer.js";
-import { flaw } from "./frames.js";
+import { came, flaw } from "./frames.js";
 
 const BINS = 150;
 
@@ -56,13 +56,32 @@ function useMissing() {
   return { error: missing.value.error, again: again.value, onRead, retry: () => { again.value += 1; } };
 }
 
-function Pixels({ id, frame }) {
+/** While nothing is written into and no dialog is open: what a key does. */
+function useKey(key, action) {
+  const latest = useRef(action);
+  latest.current = action;
+  useEffect(() => {
+    const press = (event) => {
+      if (event.key !== key || event.repeat || event.ctrlKey || event.metaKey || event.altKey || /input|textarea|select/i.test(event.target.tagName) || document.querySelector("dialog[open]")) return;
+      latest.current();
+    };
+    addEventListener("keydown", press);
+    return () => removeEventListener("keydown", press);
+  }, [key]);
+}
+
+function Pixels({ id, frame, before }) {
   const found = useGet(`/api/v1/telescopes/${id}/frames/${encodeURIComponent(frame.id)}/tiles/0/0/0`, 0, { read: () => readWhole(id, frame.id) });
   const missing = useMissing();
   const stretch = useSignal(null);
   const zoom = useSignal("fit");
   const layers = useSignal(new Set(["target"]));
   const { tiles, whole } = found.data ?? {};
+  const blinks = useSignal(false);
+  const other = useGet(blinks.value && before ? `/api/v1/telescopes/${id}/frames/${encodeURIComponent(before)}/tiles/0/0/0` : null, 0, { read: () => readWhole(id, before) });
+  const blink = () => { blinks.value = Boolean(before) && !blinks.peek(); };
+  useKey("b", blink);
+  const shown = blinks.value && other.data ? other.data.tiles : tiles;
   useEffect(() => {
     if (whole && !stretch.peek()) stretch.value = { ...automatic(whole, tiles.blank), curve: "asinh", invert: false };
   }, [whole]);
@@ -72,9 +91,11 @@ function Pixels({ id, frame }) {
   const { facts } = frame;
   return html`<section class="stack"><div class="card flush"><div class="row wrap bar-of-tools"><${Segment} label="Stretch" options=${Object.keys(CURVES).map((curve) => [curve, curve])} value=${stretch.value.curve} onChange=${(curve) => change({ curve })} /><${Segment} label="Zoom" options=${[["fit", "Fit"], ["1", "1:1"], ["4", "4:1"]]} value=${zoom.value} onChange=${(value) => { zoom.value = value; }} />
       <span class="row"><button class="chip" aria-pressed=${String(layers.value.has("grid"))} disabled=${!facts?.wcs} onClick=${toggle("grid")}><${Icon} name="grid" />Grid</button><button class="chip" aria-pressed=${String(layers.value.has("target"))} disabled=${!facts?.wcs} onClick=${toggle("target")}><${Icon} name="guide" />Centre</button>
-        <button class="chip" aria-pressed=${String(stretch.value.invert)} onClick=${() => change({ invert: !stretch.peek().invert })}>Invert</button></span></div>
+        <button class="chip" aria-pressed=${String(stretch.value.invert)} onClick=${() => change({ invert: !stretch.peek().invert })}>Invert</button>
+        ${before && html`<button class="chip" aria-pressed=${String(blinks.value)} aria-keyshortcuts="b" onClick=${blink}>Blink with previous</button>`}</span>
+      ${blinks.value && html`<span class="m" role="status">${shown === tiles ? other.error?.message ?? "reading the previous frame …" : "the previous frame"}</span>`}${!facts?.wcs && html`<span class="m" data-testid="no-wcs">No grid and no places: ${facts ? facts.reason ?? "the frame is not solved" : "it is not measured yet"}.</span>`}</div>
       ${missing.error && html`<p class="note p3" data-testid="missing-tiles"><span class="grow"><b>Some pixels cannot be read.</b> ${missing.error.message}</span><button type="button" class="btn sm soft" onClick=${missing.retry}>Try again</button></p>`}
-      <${Viewer} tiles=${tiles} width=${frame.width_px} height=${frame.height_px} stretch=${stretch.value} zoom=${zoom.value} layers=${layers.value} wcs=${facts?.wcs} target=${frame.ra_deg != null ? [frame.ra_deg, frame.dec_deg] : null} again=${missing.again} onRead=${missing.onRead} /></div>
+      <${Viewer} tiles=${shown} width=${frame.width_px} height=${frame.height_px} stretch=${stretch.value} zoom=${zoom.value} layers=${layers.value} wcs=${shown === tiles ? facts?.wcs : null} target=${frame.ra_deg != null ? [frame.ra_deg, frame.dec_deg] : null} again=${missing.again} onRead=${missing.onRead} /></div>
     <${Card} name="Stretch" end=${html`<button type="button" class="btn sm quiet" onClick=${() => change(automatic(whole, tiles.blank))}>Auto</button>`}><${Histogram} tile=${whole} stretch=${stretch.value} onChange=${change} tiles=${tiles} /><//></section>`;
 }
 
@@ -88,7 +109,7 @@ function Measured({ frame }) {
     ${facts.ra_deg != null && html`<p class="m">Centre <b>${rightAscension(facts.ra_deg)} ${declination(facts.dec_deg)}</b></p>`}${facts.reason && html`<p class="note p3">${facts.reason}</p>`}<//>`;
 }
 
-export function Frame({ id }) {
+export function Frame({ id, summary }) {
   const wanted = route.value.rest[0];
   // It may be opened before the archive has it, and before it is measured.
   const found = useGet(`/api/v1/telescopes/${id}/frames/${encodeURIComponent(wanted)}`, 0, { whole: (frame) => Boolean(frame?.facts) });
@@ -97,8 +118,12 @@ export function Frame({ id }) {
   const ids = (list.data?.rows ?? []).map((row) => row.found_frame?.id).filter(Boolean);
   const at = ids.indexOf(wanted);
   const beside = (step) => at >= 0 && ids[at + step];
+  useKey("Escape", () => { came.value = { frame: wanted, href: came.peek()?.href ?? `/t/${id}/frames${night ? `?night=${night}` : ""}` }; go(came.peek().href); });
+  // What is looked into stays; what has come since is a touch away.
+  const newest = summary?.image;
+  const isNewer = newest && newest.frame !== wanted && newest.started_utc > (found.data?.at_utc ?? "");
   const link = (step, name, icon) => html`<button class="btn sm soft" disabled=${!beside(step)} aria-label=${name} onClick=${() => go(`/t/${id}/frames/${encodeURIComponent(beside(step))}`)}><${Icon} name=${icon} /></button>`;
   return html`<${Loaded} of=${found} what="The frame">${(frame) => html`<div class="page-h">${link(-1, "Previous frame", "left")}${link(1, "Next frame", "chev")}<h2>${frame.object ?? frame.image_type}</h2><span class="m">${frame.image_type}, ${frame.filter ?? "no filter"}, ${plain(frame.exposure_s)} s, begun ${clock(frame.at_utc)} UTC, ${frame.camera}</span>${flaw({ ...frame, ...frame.facts }) && html`<span class="pri p3">▼ ${flaw({ ...frame, ...frame.facts })}</span>`}<span class="grow"></span>
-      <a class="btn soft sm" href=${`/api/v1/telescopes/${id}/frames/${encodeURIComponent(frame.id)}/file`} download><${Icon} name="down2" /><span>Download, ${bytes(frame.bytes)}</span></a></div>
-    <div class="grid g-side"><${Pixels} id=${id} frame=${frame} key=${frame.id} /><div class="stack"><${Measured} frame=${frame} /><${Header} id=${id} frame=${frame.id} key=${frame.id} /></div></div><p class="tagline mono">${frame.file}</p>`}<//>`;
+      ${isNewer && html`<a class="btn soft sm" data-testid="newest" href=${`/t/${id}/frames/${encodeURIComponent(newest.frame)}`}>Newest frame ${clock(newest.started_utc)}</a>`}<a class="btn soft sm" href=${`/api/v1/telescopes/${id}/frames/${encodeURIComponent(frame.id)}/file`} download><${Icon} name="down2" /><span>Download, ${bytes(frame.bytes)}</span></a></div>
+    <div class="grid g-side"><${Pixels} id=${id} frame=${frame} before=${beside(-1) || null} key=${frame.id} /><div class="stack"><${Measured} frame=${frame} /><${Header} id=${id} frame=${frame.id} key=${frame.id} /></div></div><p class="tagline mono">${frame.file}</p>`}<//>`;
 }

@@ -142,7 +142,7 @@ export function Log({ id }) {
   const end = query.get("to");
   const hours = Number(query.get("hours")) || 6;
   const mode = Number.isFinite(moment) ? "around" : query.get("view") === "search" ? "search" : "live";
-  const span = useSignal(AROUND_S);
+  const span = [600, 3600].includes(Number(query.get("around_s"))) ? Number(query.get("around_s")) : AROUND_S;
   const set = (changes) => go(withQuery(changes), { replace: true });
   const telescopes = [...net.value.values()];
   const ids = chosen ? [chosen] : telescopes.filter((one) => !one.shared).map((one) => one.id).sort();
@@ -160,7 +160,7 @@ export function Log({ id }) {
       ${mode === "search" && html`<${Segment} label="How far back" options=${HOURS} value=${hours} onChange=${(value) => set({ hours: String(value) })} /><label class="in">until <input type="text" class="when" placeholder="now" aria-label="Until, UTC, such as 2026-11-27 04:12" key=${end} defaultValue=${end ? stamp(to).slice(0, 19).replace("T", " ") : ""} onChange=${(event) => set({ to: timeOf(event.target.value) })} /><span class="u">UTC</span></label>`}
       <span class="grow"></span><span class="tagline desk">UTC, newest first</span></div>
     ${mode === "live" ? html`<${Live} key=${chosen ?? ""} id=${chosen} filter=${filter} />`
-      : mode === "around" ? html`<${Found} key="around" ids=${ids} from=${moment - span.value * 1000} to=${moment + span.value * 1000} filter=${filter} here=${moment} telescope=${chosen} title=${`Around ${shortDay(moment)} ${clock(moment)}`}
-        end=${html`<${Segment} label="How far" options=${[[AROUND_S, "± 2 min"], [600, "± 10 min"], [3600, "± 1 h"]]} value=${span.value} onChange=${(value) => { span.value = value; }} /><a class="btn sm soft" href=${withQuery({ at: null })}>Live</a>`} />`
+      : mode === "around" ? html`<${Found} key="around" ids=${ids} from=${moment - span * 1000} to=${moment + span * 1000} filter=${filter} here=${moment} telescope=${chosen} title=${`Around ${shortDay(moment)} ${clock(moment)}`}
+        end=${html`<${Segment} label="How far" options=${[[AROUND_S, "± 2 min"], [600, "± 10 min"], [3600, "± 1 h"]]} value=${span} onChange=${(value) => set({ around_s: value === AROUND_S ? null : String(value) })} /><a class="btn sm soft" href=${withQuery({ at: null })}>Live</a>`} />`
       : !ids.length || !to ? html`<p class="m">Connecting …</p>` : html`<${Found} key="search" ids=${ids} from=${to - hours * 3600e3} to=${to + (end ? 0 : 1000)} filter=${filter} telescope=${chosen} title="Archive" older=${(utc) => withQuery({ to: utc })} />`}`;
 }

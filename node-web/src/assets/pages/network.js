@@ -1,10 +1,11 @@
 // All telescopes, the ones that need somebody first; and one sentence on all of them.
-import { html, useSignal } from "../lib.js";
+import { html } from "../lib.js";
 import { activity } from "../activity.js";
 import { CloseButton } from "../close.js";
 import { clock, duration, number } from "../format.js";
 import { arrived, Picture } from "../image.js";
 import { Age, Bullet, Card, Empty, Expected, Guard, Icon, Missing, Mode, Priority, PRIORITIES, Segment, Simulated, Stat, Table, Words, isCalm, postureIcon, wordCells, standing, realTime, summaryAge, urgency } from "../parts.js";
+import { go, route, withQuery } from "../route.js";
 import { bySite, doing, worst } from "../shell.js";
 import { link, moment, net, skyNow, skySpeed, tick, told, useTopic } from "../store.js";
 import { devicesOf, known, useMissing } from "../devices.js";
@@ -125,11 +126,14 @@ const cells = (one) => {
     <td class="num hidep"><b>${figure(one.figures?.guide_rms_arcsec)}</b></td><td class="num hidep"><b>${figure(one.figures?.fwhm_arcsec)}</b></td><td class="num hidep">${one.frames}</td><td class="num hidep">${one.schedule ? `${one.schedule.finished}/${one.schedule.rows}` : "—"}</td><td class="num"><${Age} s=${() => summaryAge(one)} worth=${now.worth} never="never" /></td><td><${Called} summary=${one} level=${level} /></td>`;
 };
 
+/** Changes what is chosen; the address keeps it. */
+const set = (changes) => go(withQuery(changes), { replace: true });
+
 /** A telescope a line, for tens of them: sorted and filtered, worst first. */
 function All({ telescopes }) {
-  const text = useSignal("");
-  const shown = telescopes.filter((one) => `${one.id} ${activity(one, standing(one)).join(" ")}`.toLowerCase().includes(text.value.toLowerCase()));
-  return html`<${Card} name="All telescopes" flush end=${html`${text.value && html`<span class="m">${shown.length} of ${telescopes.length}</span>`}<label class="in"><${Icon} name="search" /><input type="search" placeholder="Filter" aria-label="Filter telescopes" onInput=${(event) => { text.value = event.target.value; }} /><kbd>/</kbd></label>`}>
+  const text = route.value.query.get("filter") ?? "";
+  const shown = telescopes.filter((one) => `${one.id} ${activity(one, standing(one)).join(" ")}`.toLowerCase().includes(text.toLowerCase()));
+  return html`<${Card} name="All telescopes" flush end=${html`${text && html`<span class="m">${shown.length} of ${telescopes.length}</span>`}<label class="in"><${Icon} name="search" /><input type="search" placeholder="Filter" aria-label="Filter telescopes" value=${text} onInput=${(event) => set({ filter: event.target.value })} /><kbd>/</kbd></label>`}>
     <${Table} label="All telescopes" cls="net cards" columns=${columns()} rows=${shown} sorted=${BY_SAFETY} keyOf=${(one) => one.id} rowProps=${rowProps} cells=${cells} /><//>`;
 }
 
@@ -139,20 +143,21 @@ function NightOfAll({ telescopes }) {
 }
 
 export function Network() {
-  const show = useSignal("all");
-  const view = useSignal(null);
+  const { query } = route.value;
   const telescopes = [...net.value.values()].filter((one) => !one.shared).sort((a, b) => rank(a) - rank(b) || a.id.localeCompare(b.id));
   if (!telescopes.length) return html`<h1 class="vh" tabindex="-1">Network</h1>${told.value ? html`<${Empty} icon="scope" title="No telescope on the bus yet">Telescopes appear here by themselves when their nodes start.<//>` : html`<p class="m">Connecting …</p>`}`;
   const kinds = { all: () => true, need: needs, open: isOpen, wait: (one) => !one.activity?.length && !needs(one) };
   const called = worst()?.summary.id;
   const sites = bySite(telescopes);
   const more = Math.max(0, Math.floor((TOPICS - telescopes.length - 3 * sites.size) / sites.size));
-  const chosen = view.value ?? (telescopes.length > 16 ? "compact" : "cards");
+  const show = query.get("show") in kinds ? query.get("show") : "all";
+  const usual = telescopes.length > 16 ? "compact" : "cards";
+  const chosen = ["cards", "compact"].includes(query.get("view")) ? query.get("view") : usual;
   return html`<div class="page-h"><h1 class="vh" tabindex="-1">Network</h1><${Lede} telescopes=${telescopes} /></div>
     <div class="sites" tabindex="0" role="group" aria-label="Sites">${[...sites].map(([site, here]) => html`<${Guard} name=${site} key=${site}><${Site} site=${site} telescopes=${here} more=${more + 1} /><//>`)}</div>
-    <div class="row wrap chips-x">${[["all", "All"], ["need", "Need you"], ["open", "Open"], ["wait", "Waiting"]].map(([kind, word]) => html`<button key=${kind} class="chip" aria-pressed=${String(show.value === kind)} onClick=${() => { show.value = kind; }}>${word} <i>${telescopes.filter(kinds[kind]).length}</i></button>`)}
-      <span class="grow"></span><span class="tagline desk">Worst first</span><${Segment} label="View" options=${[["cards", "Cards"], ["compact", "Compact"]]} value=${chosen} onChange=${(value) => { view.value = value; }} /></div>
-    <div class="tiles" data-view=${chosen === "compact" ? "compact" : null}>${telescopes.filter(kinds[show.value]).map((one) => html`<${Guard} name=${one.telescope_id} key=${one.id}><${Tile} summary=${one} brief=${chosen === "compact"} called=${one.id === called} /><//>`)}</div>
+    <div class="row wrap chips-x">${[["all", "All"], ["need", "Need you"], ["open", "Open"], ["wait", "Waiting"]].map(([kind, word]) => html`<button key=${kind} class="chip" aria-pressed=${String(show === kind)} onClick=${() => set({ show: kind === "all" ? null : kind })}>${word} <i>${telescopes.filter(kinds[kind]).length}</i></button>`)}
+      <span class="grow"></span><span class="tagline desk">Worst first</span><${Segment} label="View" options=${[["cards", "Cards"], ["compact", "Compact"]]} value=${chosen} onChange=${(value) => set({ view: value })} /></div>
+    <div class="tiles" data-view=${chosen === "compact" ? "compact" : null}>${telescopes.filter(kinds[show]).map((one) => html`<${Guard} name=${one.telescope_id} key=${one.id}><${Tile} summary=${one} brief=${chosen === "compact"} called=${one.id === called} /><//>`)}</div>
     <${NightOfAll} telescopes=${telescopes} />
     <${All} telescopes=${telescopes} />`;
 }

@@ -6,8 +6,7 @@ import { devicesOf, exposure, stateOf, useMissing } from "../devices.js";
 import { clock, duration, hourMinute, number, plain } from "../format.js";
 import { arrived, Picture } from "../image.js";
 import { Keys, Night, OldNight } from "../night.js";
-import { useGet, useReport } from "../api.js";
-import { SkyMap } from "../sky.js";
+import { useGet, useReport, useShared } from "../api.js";
 import { siteOf, tonight } from "../site.js";
 import { useForecast } from "../forecast.js";
 import { Age, Card, Empty, Expected, Guard, Missing, Old, Priority, Stat, Table, Time, Was, fate, isCalm, priorityNumber, realTime, standing } from "../parts.js";
@@ -31,9 +30,9 @@ function holds(summary, states, id, sky) {
   const orders = body(states, `${id}/observatory/operator-orders/state`) ?? {};
   const lease = body(states, `${id}/observatory/lease/state`);
   const out = (safety?.body.reasons ?? summary.safety?.reasons ?? []).map((reason) => ({ what: inputWords(reason.input), input: reason.input, why: reason.why, at: reason.clears_in_s == null ? null : sky + Math.max(0, reason.clears_in_s - since) * 1000 }));
-  if (orders.stay_closed) out.push({ what: "an order", why: `${orders.stay_closed.from} closed it at ${clock(orders.stay_closed.at_utc)}${orders.stay_closed.reason ? `: ${orders.stay_closed.reason}` : ""}`, until: "somebody orders open-again or start" });
+  if (orders.stay_closed) out.push({ what: "an order", why: `${orders.stay_closed.from} closed it at ${clock(orders.stay_closed.at_utc)}${orders.stay_closed.reason ? `: ${orders.stay_closed.reason}` : ""}`, until: "somebody orders open-again" });
   if (orders.control) out.push({ what: "control", why: `${orders.control.from} took it from the schedule at ${clock(orders.control.at_utc)}${orders.control.reason ? `: ${orders.control.reason}` : ""}`, until: "somebody orders start" });
-  if (summary.mode === "manual") out.push({ what: "robotic mode", why: "it is switched off", until: "somebody orders robotic-on" });
+  if (summary.mode === "manual") out.push({ what: "robotic mode", why: "it is switched off", until: "somebody orders start" });
   if (lease && !lease.holder) out.push({ what: "command", why: "nobody commands it", until: "an observatory node takes command" });
   for (const [key, entry] of states ?? []) if (key.endsWith("/guard") && entry.body?.hold) out.push({ what: key.split("/")[4], why: "its device node closed it by itself, and opens for nobody", until: "the node in command goes on" });
   const { rows, next } = rowsOf(states, id);
@@ -178,21 +177,25 @@ function NightCard({ id, summary, states, site }) {
   return html`<${Card} name="The night" cls="tl" testid="night" end=${html`<${OldNight} report=${report} plan=${plan} /><${Keys} />`}><${Night} rows=${schedule?.rows} plan=${plan.data?.rows} target=${targetOf(states, id)} report=${report.data} verdicts=${safety.body?.intervals} until=${safety.until} site=${site} now=${skyNow()} /><//>`;
 }
 
-function Sky({ states, site }) {
+function Sky({ id, states, site }) {
+  const above = useShared(site ? `/api/v1/telescopes/${id}/sky` : null, 3600);
   const devices = devicesOf(states);
   const mount = devices.find((device) => device.kind === "telescope");
   const dome = devices.find((device) => device.kind === "dome");
-  return html`<${Card} name="Sky" end="north up, east left" testid="sky">${site && skyNow() ? html`<${SkyMap} mount=${mount?.worth === "fresh" ? mount.fields : null} dome=${dome?.worth === "fresh" ? dome.fields : null} site=${site} now=${skyNow()} />` : html`<p class="m">Where the telescope stands is not known yet.</p>`}<//>`;
+  return html`<${Card} name="Sky" end="north up, east left" testid="sky">${site && skyNow() ? html`<${Late} part="sky" horizon=${above.data?.horizon} mount=${mount?.worth === "fresh" ? mount.fields : null} dome=${dome?.worth === "fresh" ? dome.fields : null} site=${site} now=${skyNow()} />` : html`<p class="m">Where the telescope stands is not known yet.</p>`}<//>`;
 }
 
-/** @type {any} The part that shows webcams: it comes after the page, which most often has none. */
-const late = signal(null);
+/** Parts that come after the page: it is there before they are. */
+const LATE = { webcams: async () => (await import("../webcams.js")).Webcams, sky: async () => (await import("../sky.js")).SkyMap };
+/** @type {any} Those that have come. */
+const come = signal({});
 
-function Webcams({ of }) {
+function Late({ part, ...props }) {
   useEffect(() => {
-    if (!late.peek()) import("../webcams.js").then((found) => { late.value = found.Webcams; }, () => { late.value = () => html`<p class="m">The server did not send what shows webcams; load the page again.</p>`; });
+    if (!come.peek()[part]) LATE[part]().catch(() => () => html`<p class="m">The server did not send this part; load the page again.</p>`).then((Part) => { come.value = { ...come.peek(), [part]: Part }; });
   }, []);
-  return late.value && html`<${late.value} of=${of} />`;
+  const Part = come.value[part];
+  return Part ? html`<${Part} ...${props} />` : null;
 }
 
 export function Telescope({ id, summary }) {
@@ -202,8 +205,8 @@ export function Telescope({ id, summary }) {
   if (summary.shared) return html`<${Devices} id=${id} states=${states} />`;
   return html`<${Doing} id=${id} summary=${summary} states=${states} />
     <${NightCard} id=${id} summary=${summary} states=${states} site=${site} />
-    <div class="grid g3"><${Image} id=${id} summary=${summary} states=${states} /><${Sky} states=${states} site=${site} /><div class="stack"><${GuidingCard} id=${id} summary=${summary} states=${states} /><${FocusCard} id=${id} summary=${summary} states=${states} /><${FramesCard} id=${id} summary=${summary} states=${states} /></div></div>
-    <${Guard} name="Webcams"><${Webcams} of=${[{ site: summary.site_id, telescope: summary.telescope_id }]} /><//>
+    <div class="grid g3"><${Image} id=${id} summary=${summary} states=${states} /><${Sky} id=${id} states=${states} site=${site} /><div class="stack"><${GuidingCard} id=${id} summary=${summary} states=${states} /><${FocusCard} id=${id} summary=${summary} states=${states} /><${FramesCard} id=${id} summary=${summary} states=${states} /></div></div>
+    <${Guard} name="Webcams"><${Late} part="webcams" of=${[{ site: summary.site_id, telescope: summary.telescope_id }]} /><//>
     <div class="grid g-side"><${Verdict} id=${id} summary=${summary} states=${states} /><${Command} id=${id} states=${states} /></div>
     <${Devices} id=${id} states=${states} />`;
 }

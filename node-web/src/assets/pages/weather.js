@@ -35,7 +35,9 @@ function Station({ id, device, inputs, safety }) {
   const hours = useSignal(6);
   const measured = PARAMETERS.filter(([, name]) => known(device.fields[name]));
   const owner = `${device.site}/${device.telescope}`;
-  const past = useHistory(owner, measured.map(([property]) => `${device.kind}/${device.name}/${property}`), hours.value, 400);
+  // All of it stays below 300 kB.
+  const points = Math.min(400, Math.floor(2200 / Math.max(1, measured.length)));
+  const past = useHistory(owner, measured.map(([property]) => `${device.kind}/${device.name}/${property}`), hours.value, points);
   const series = (property) => past.series(`${device.kind}/${device.name}/${property}`);
   return html`<${Card} name=${`${device.name}, now`} flush end=${html`<${Age} s=${device.age} worth=${device.worth} after=" ago" />`} testid="station"><${Table} label="Weather now" columns=${[{ key: "p", name: "Parameter" }, { key: "v", name: "Value", num: true }, { key: "s", name: "On its scale" }, { key: "l", name: "Limit", num: true }, { key: "r", name: `Least and most, ${spanWords(hours.value)}`, num: true, cls: "hidep" }]} rows=${measured} keyOf=${([property]) => property}
       cells=${([property, name, label, unit, scale, digits]) => {
