@@ -145,7 +145,7 @@ fn follows<F>(states: &[RecordedState<F>], next: &RecordedState<F>) -> bool {
         let is_next = if last.boot_id == next.boot_id {
             last.seq.checked_add(1) == Some(next.seq)
         } else {
-            states.iter().all(|state| state.boot_id != next.boot_id)
+            next.seq == 0 && states.iter().all(|state| state.boot_id != next.boot_id)
         };
         is_next && last.since_boot <= next.since_boot
     })

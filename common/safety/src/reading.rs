@@ -49,10 +49,14 @@ pub(crate) fn state<F>(link: Link, fields: F) -> DeviceState<F> {
     }
 }
 
+/// Nothing older is a reading; machine time.
+const OLDEST: Duration = Duration::from_secs(10 * 86_400);
+
 /// When a reading was made that was so old at that moment: not when it was published.
 pub(crate) fn aged(at: Now, age_s: Option<f64>, speed: f64) -> Result<Now, String> {
     let Some(age_s) = age_s else { return Ok(at) };
-    let age = Duration::try_from_secs_f64(age_s).map_err(|_| format!("its age is given as {age_s} s"))?;
+    let age = Duration::try_from_secs_f64(age_s).ok().filter(|age| *age <= OLDEST);
+    let age = age.ok_or_else(|| format!("its age is given as {age_s} s"))?;
     Ok(Now { machine: at.machine.minus(age), sky: at.sky.minus(age.mul_f64(speed)) })
 }
 

@@ -162,9 +162,11 @@ impl<F: Payload + PartialEq> Recall<F> {
         if let Some((index, state)) = states.iter().enumerate().find(|(_, state)| state.is(before)) {
             return state.agrees(before).map(|()| index + 1);
         }
-        // It need not reach so far back, if it is of the same incarnation.
-        let begins_later =
-            |oldest: &RecordedState<'_, F>| *oldest.boot_id == before.boot_id && oldest.entry.seq > before.seq;
+        // It need not reach so far back, if it is of the incarnation that answers, which forgets only its oldest states.
+        let answers = self.live.last().is_some_and(|newest| newest.boot_id == before.boot_id);
+        let begins_later = |oldest: &RecordedState<'_, F>| {
+            answers && *oldest.boot_id == before.boot_id && oldest.entry.seq > before.seq
+        };
         let why = "it does not reach the newest state that was received before the hole";
         if states.first().is_some_and(begins_later) { Ok(0) } else { Err(why.to_owned()) }
     }
@@ -226,7 +228,13 @@ fn states<F>(record: &StateRecord<F>) -> Result<Vec<RecordedState<'_, F>>, Strin
         for entry in entries {
             let age = Duration::try_from_secs_f64(entry.age_s).ok().filter(|age| *age <= OLDEST);
             let age = age.ok_or_else(|| format!("its state {} has an age of {} s", entry.seq, entry.age_s))?;
-            if before.is_some_and(|before| before.checked_add(1) != Some(entry.seq)) {
+            // Only the oldest incarnation may have lost its first states.
+            let next = if before.is_none() && !states.is_empty() {
+                Some(0)
+            } else {
+                before.map_or(Some(entry.seq), |before| before.checked_add(1))
+            };
+            if next != Some(entry.seq) {
                 return Err(format!("a state is missing before {}", entry.seq));
             }
             if states.last().is_some_and(|before| before.age < age) {

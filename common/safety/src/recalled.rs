@@ -48,13 +48,26 @@ impl History {
     /// place of what was received since. `states` is empty if there is no record.
     pub fn recall_monitor(&mut self, rules: &Rules, device: &Device, states: Vec<PlacedState<Monitor>>) {
         self.awaited.remove(device);
+        let vouched_s = self.vouched_s(rules, device);
         let until = self.go_on(rules, device, &states);
         if until.is_none() {
             self.forget(rules, device, states.first().map(|first| first.at));
         }
-        for placed in following(states, until) {
+        for mut placed in following(states, until) {
+            if placed.fields.gapless_safe_s > vouched_s {
+                placed.fields.gapless_safe_s = vouched_s;
+            }
             self.monitor(rules, device, &state(placed.link, placed.fields), &placed.ages_s, placed.at);
         }
+    }
+
+    /// What the newest state that was received vouches for, as far as it is believed, s: nothing recalled vouches for more.
+    fn vouched_s(&self, rules: &Rules, device: &Device) -> f64 {
+        let records = rules.monitors.iter().zip(&self.monitors).filter(|(rule, _)| rule.device == *device);
+        let newest = records.map(|(_, record)| record.newest().and_then(|newest| newest.outcome.as_ref().ok()));
+        newest
+            .map(|reading| reading.map_or(0.0, |reading| reading.gapless_safe.as_secs_f64()))
+            .fold(f64::INFINITY, f64::min)
     }
 
     /// The same for a set of switches, whose values may stand still for ever.

@@ -483,3 +483,6 @@ proptest! {
         }
     }
 }
+
+#[path = "recalled_pending_tests.rs"]
+mod pending;

@@ -99,7 +99,7 @@ impl History {
         match self.polls.get(&rule.device).filter(|_| rule.by_period) {
             // Five polls, so that one lost answer raises no alarm; whatever a node publishes, no monitor is silent for
             // minutes.
-            Some(poll) => (*poll * 5).clamp(LEAST_ALLOWED, MOST_ALLOWED).max(rule.max_age),
+            Some(poll) => ((*poll).min(MOST_ALLOWED) * 5).clamp(LEAST_ALLOWED, MOST_ALLOWED).max(rule.max_age),
             None => rule.max_age,
         }
     }
@@ -108,7 +108,7 @@ impl History {
     pub fn allowed(&self, rule: &LimitRule) -> Duration {
         match self.polls.get(&rule.device).filter(|_| rule.by_period) {
             // One lost answer, and the time that answers take.
-            Some(poll) => (*poll * 2 + ANSWERS).min(MOST_ALLOWED).max(rule.max_age),
+            Some(poll) => ((*poll).min(MOST_ALLOWED) * 2 + ANSWERS).min(MOST_ALLOWED).max(rule.max_age),
             None => rule.max_age,
         }
     }

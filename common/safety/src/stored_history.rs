@@ -52,18 +52,27 @@ pub struct StoredHistory {
 pub type PassedOver = (String, String);
 
 impl History {
-    /// What is to be written now.
+    /// What is to be written now: of a device whose node is being asked for what was missed, what was known before that,
+    /// so that the next incarnation asks for it too.
     pub fn store(&self, rules: &Rules, moment: &Moment) -> StoredHistory {
         let now = moment.now;
-        let monitors = rules.monitors.iter().zip(&self.monitors).map(|(rule, record)| {
+        let monitors = rules.monitors.iter().zip(&self.monitors).enumerate().map(|(index, (rule, record))| {
+            let kept = self.kept.get(&rule.device).and_then(|kept| kept.monitors.iter().find(|(of, _)| *of == index));
+            let record = kept.map_or(record, |(_, record)| record);
             let allowed = self.allowed_of_monitor(rule);
             (format!("{rule:?}"), record.store(now, allowed, self.since, |reading| reading.is_safe))
         });
-        let limits = rules.limits.iter().zip(&self.limits).zip(&self.windows).map(|((rule, record), window)| {
+        let limits = rules.limits.iter().zip(&self.limits).zip(&self.windows).enumerate();
+        let limits = limits.map(|(index, ((rule, record), window))| {
+            let kept = self.kept.get(&rule.device).and_then(|kept| kept.limits.iter().find(|(of, ..)| *of == index));
+            let (record, window) = kept.map_or((record, window), |(_, record, window)| (record, window));
             let record = record.store(now, self.allowed(rule), self.since, |measured| !measured.tripped);
             (format!("{rule:?}"), (record, window.store(now.sky)))
         });
-        let still = |device: &&Device| Some((device.to_string(), self.freeze.store(device, now.machine)?));
+        let still = |device: &&Device| {
+            let freeze = self.kept.get(*device).map_or(&self.freeze, |kept| &kept.freeze);
+            Some((device.to_string(), freeze.store(device, now.machine)?))
+        };
         StoredHistory {
             boot: moment.boot.clone(),
             utc: moment.utc,
