@@ -27,7 +27,8 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:The file finals2000A.all has expired"),
 ]
 
-CASES = 1000
+# more of them in `scripts/proof foreign`
+CASES = int(os.environ.get("SKY_CASES", "200"))
 GAUSS = 0.01720209895
 OBLIQUITY = np.radians(84381.448 / 3600)
 TO_EQUATOR = np.array([
@@ -139,7 +140,7 @@ def report(what: str, off: np.ndarray, bar: float, unit: str):
     assert worst < bar, f"{what}: {worst} {unit} in case {int(np.argmax(np.abs(off)))}, bar {bar}"
 
 
-def test_stars_sun_moon_and_sidereal_time_agree_with_astropy_in_1000_random_cases():
+def test_stars_sun_moon_and_sidereal_time_agree_with_astropy_in_cases_drawn_from_a_seed():
     nights = Nights(CASES, seed=1)
     ra = nights.random.uniform(0, 360, CASES)
     dec = np.degrees(np.arcsin(nights.random.uniform(-1, 1, CASES)))
@@ -190,7 +191,7 @@ def test_the_sun_stands_where_jpl_has_it_and_is_not_bent_round_itself(jpl):
         report("sun, direction only", apart(*ours, theirs.az.deg, theirs.alt.deg), bar, "arcsec")
 
 
-def test_twilight_comes_within_2_seconds_of_when_astropy_has_it_in_1000_random_cases():
+def test_twilight_comes_within_2_seconds_of_when_astropy_has_it_in_cases_drawn_from_a_seed():
     nights = Nights(CASES, seed=2)
     altitude = nights.random.choice([-0.833, -6.0, -12.0, -18.0], CASES)
     rising = nights.random.integers(0, 2, CASES).astype(bool)
@@ -229,7 +230,7 @@ def test_twilight_comes_within_2_seconds_of_when_astropy_has_it_in_1000_random_c
     between = nights.time[found] + (at - nights.time[found]) * part
     later = (at - between).sec
     near = (later < 3600) & (later > 60) & steep
-    assert near.sum() > 20 and (past(found, between)[near] < 0).all()
+    assert near.sum() > CASES / 50 and (past(found, between)[near] < 0).all()
     # and where none was told, astropy has the Sun on one side of the altitude for two days
     sides = np.array([
         past(never, nights.time[never] + TimeDelta(hours * 3600.0, format="sec")) > 0 for hours in range(0, 49, 4)

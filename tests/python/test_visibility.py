@@ -4,6 +4,7 @@ Both sides are given the same orientation of the Earth.
 """
 
 import json
+import os
 import re
 import subprocess
 
@@ -15,7 +16,8 @@ from astropy.coordinates.erfa_astrom import ErfaAstromInterpolator, erfa_astrom
 from astropy.time import Time, TimeDelta
 from astropy.utils import iers
 
-CASES = 1000
+# more of them in `scripts/proof foreign`
+CASES = int(os.environ.get("SKY_CASES", "200"))
 # a file's findings are told up to 200
 ROWS_OF_A_FILE = 25
 DUT1_S, POLE_ARCSEC = 0.35, (0.2, 0.4)
@@ -106,7 +108,7 @@ def hidden_by_starmesh(starmesh, folder, rows) -> dict[int, str]:
     return warnings
 
 
-def test_targets_behind_the_horizon_are_reported_as_astropy_has_them_in_1000_random_cases(starmesh, tmp_path):
+def test_targets_behind_the_horizon_are_reported_as_astropy_has_them_in_cases_drawn_from_a_seed(starmesh, tmp_path):
     random = np.random.default_rng(6)
     begin = Time("2026-11-05", scale="utc")
     # whole seconds, which a schedule writes
@@ -174,4 +176,5 @@ def test_targets_behind_the_horizon_are_reported_as_astropy_has_them_in_1000_ran
         slack_deg = 0.1 + 0.125 * (1 + 3.3 / max(np.cos(there.alt.rad[part][room.argmin()]), 0.1))
         assert abs(worst_deg - room.min()) < slack_deg, where
     print(seen)
-    assert seen["hidden"] > 300 and seen["clear"] > 150 and seen["whole"] > 100 and seen["parts"] > 100, seen
+    share = {kind: count / CASES for kind, count in seen.items()}
+    assert share["hidden"] > 0.3 and share["clear"] > 0.15 and share["whole"] > 0.1 and share["parts"] > 0.1, seen

@@ -330,17 +330,21 @@ export const tooWide = (page) => page.evaluate(() => {
   return `${scrollWidth} px of ${clientWidth}: ${wide.slice(0, 5).map((one) => `${one.tagName}.${one.getAttribute("class")}`).join(" ")}`;
 });
 
-/** The page as it is now, in three themes at two widths: what axe-core finds serious, and what is too wide. A theme is colours: only of them it is asked again in the others. */
-export async function looks(page, where) {
+const [WIDE, PHONE] = [{ width: 1280, height: 900 }, { width: 390, height: 844 }];
+/** Each theme and each width once; all of them together in `scripts/proof pages`. All rules are asked in the dark theme; a theme is colours, so of the others only whether they can be read. */
+export const LOOKS = process.env.UI_EVERY_LOOK ? [WIDE, PHONE].flatMap((size) => THEMES.map((theme) => [size, theme])) : [[WIDE, "light"], [WIDE, "night"], [PHONE, "dark"]];
+/** For a part of a page: how it looks on a phone. */
+const LAST_LOOK = process.env.UI_EVERY_LOOK ? LOOKS : LOOKS.slice(-1);
+
+/** The page as it is now: what axe-core finds serious, and what is too wide. */
+export async function looks(page, where, all = LAST_LOOK) {
   const found = [];
-  for (const [width, height] of [[1280, 900], [390, 844]]) {
-    await page.setViewportSize({ width, height });
-    for (const theme of THEMES) {
-      await chooseTheme(page, theme);
-      found.push(...(await findings(page, theme === "dark" ? null : readable)).map((one) => `${where} ${width} ${theme}: ${one}`));
-      const wide = await tooWide(page);
-      if (wide) found.push(`${where} ${width} ${theme}: sideways scroll, ${wide}`);
-    }
+  for (const [size, theme] of all) {
+    await page.setViewportSize(size);
+    await chooseTheme(page, theme);
+    found.push(...(await findings(page, theme === "dark" ? null : readable)).map((one) => `${where} ${size.width} ${theme}: ${one}`));
+    const wide = await tooWide(page);
+    if (wide) found.push(`${where} ${size.width} ${theme}: sideways scroll, ${wide}`);
   }
   return found;
 }

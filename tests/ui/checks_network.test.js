@@ -124,10 +124,14 @@ test("tiles are sorted by what somebody is needed for, then what is old, what wo
   await page.evaluate(() => import("/assets/store.js").then(({ net }) => { net.value = /** @type {any} */ (window).own; }));
 });
 
-test("the title of the window has the highest priority that calls for somebody, and what is acknowledged is not in it", TEST, async () => {
-  const title = (expected) => becomes(() => page.title(), expected);
+test("title and icon of the window have the highest priority that calls for somebody, and what is acknowledged is not in them", TEST, async () => {
+  const icons = new Set();
+  const icon = async () => { const href = await page.locator('link[rel="icon"]').getAttribute("href"); icons.add(href); return /favicon-?(.*)\.svg$/.exec(href)[1]; };
+  const title = async (expected) => becomes(async () => [await page.title(), await icon()], [expected, { "◆": "high", "▲": "critical", "▼": "medium" }[expected[0]] ?? ""]);
   await open("/nodes");
   await title("Nodes – Starmesh");
+  await tell("demo/beta", blurred);
+  await title("▼1 Nodes – Starmesh");
   const lost = { id: "device-lost/camera/camera", priority: "high", cause: "It does not answer." };
   await tell("demo/beta", lost, blurred);
   await title("◆1 Nodes – Starmesh");
@@ -137,6 +141,33 @@ test("the title of the window has the highest priority that calls for somebody, 
   await title("◆1 Nodes – Starmesh");
   await tell("demo/beta");
   await title("Nodes – Starmesh");
+  const pictures = await Promise.all([...icons].map((href) => fetch(bus.url + href).then(async (answer) => [answer.status, answer.headers.get("content-type"), await answer.text()])));
+  assert.deepEqual(pictures.map(([status, type]) => `${status} ${type}`), Array(4).fill("200 image/svg+xml"));
+  assert.equal(new Set(pictures.map(([, , picture]) => picture)).size, 4, "each is another picture");
+});
+
+test("an alert that comes again says how often it was raised tonight, and who had acknowledged it", TEST, async () => {
+  const before = (minute, change) => ({ ...blurred, raised_utc: `2026-11-27T01:${minute}:00.000000Z`, cleared_utc: `2026-11-27T01:${minute + 2}:00.000000Z`, acknowledged_by: null, ...change });
+  let alerts = [before(10), before(40, { acknowledged_by: "web/ana" }), before(50, { id: stuck.id })];
+  const report = /\/telescopes\/demo\/beta\/nights\/\d+\/report$/;
+  await page.route(report, (route) => route.fulfill({ json: { alerts, timeline: [] } }));
+  // What another page has read of this night is not asked again at once.
+  const again = async (address) => { await page.goto(bus.url + address); await settled(page); };
+  const told = ({ id }) => page.locator(`[data-alert="${id}"] [data-testid="came-back"]`);
+  await tell("demo/beta", blurred);
+  await again("/alerts");
+  await told(blurred).filter({ hasText: "It comes and goes: raised 3 times tonight. Before this from 01:40:00 to 01:42:00, acknowledged by web/ana." }).waitFor();
+  alerts = alerts.slice(1, 2);
+  await again("/t/demo/beta");
+  await told(blurred).filter({ hasText: "It came back: raised 2 times tonight. Before this from 01:40:00 to 01:42:00, acknowledged by web/ana." }).waitFor();
+  // One is raised for the first time: the archive knows that time alone.
+  alerts = [raised(blurred), before(50, { id: stuck.id })];
+  await tell("demo/beta", stuck, blurred);
+  await again("/alerts");
+  await told(stuck).filter({ hasText: "It came back: raised 2 times tonight. Before this from 01:50:00 to 01:52:00." }).waitFor();
+  assert.equal(await told(blurred).count(), 0);
+  await page.unroute(report);
+  await tell("demo/beta");
 });
 
 /** The page of another person, who then watches one telescope that falls silent while the other tests go on. */
@@ -157,7 +188,7 @@ test("what one person acknowledges or shelves the page of another tells, with th
   await card(page, blurred.id).getByRole("button", { name: "Shelve" }).click();
   const dialog = page.getByRole("dialog");
   await dialog.getByRole("button", { name: "Shelve" }).click();
-  assert.equal(await dialog.count(), 1, "without a reason it is not sent");
+  await becomes(() => dialog.count(), 1, "without a reason it is not sent");
   await dialog.getByLabel("Why").fill("clouds, it focuses again later");
   await dialog.getByRole("button", { name: "Shelve" }).click();
   const shelve = (await becomes(bus.orders, (all) => all.some((one) => one.do.shelve))).find((one) => one.do.shelve);
@@ -275,7 +306,14 @@ test("an address keeps what was chosen, through a reload, back and forward", TES
   await page.setViewportSize(WIDE);
   const choices = {
     "/?show=open&view=compact&filter=alp": async () => { await becomes(pressed, ["Open", "Compact"]); await becomes(() => page.getByLabel("Filter telescopes").inputValue(), "alp"); await becomes(() => page.locator('[data-testid="row"]').count(), 1); },
+    "/t/demo/alpha/weather?hours=24&from=2026-11-27T01%3A00%3A00Z&to=2026-11-27T02%3A00%3A00Z": async () => {
+      await becomes(pressed, ["24 h"]);
+      await becomes(() => page.locator('[data-testid="chart"]').evaluateAll((all) => all.map(({ dataset }) => [dataset.from, dataset.to].map((ms) => new Date(Number(ms)).toISOString().slice(11, 19)).join())), ["01:00:00,02:00:00"]);
+    },
     "/alerts?least=high": () => becomes(pressed, ["High and up"]),
+    "/t/demo/alpha/guiding?hours=12&unit=arcsec": () => becomes(pressed, ["″", "12 h"]),
+    "/t/demo/alpha/devices/focuser/focuser?history=Position&hours=1": async () => { await becomes(pressed, ["1 h"]); await page.getByRole("heading", { name: "Position, the past" }).waitFor(); },
+    "/t/demo/alpha/frames?view=list": () => becomes(pressed, ["List"]),
     "/nodes?role=archive": () => becomes(pressed, ["Archive"]),
     "/log?view=search&hours=24&to=2026-11-27T02%3A20%3A00.000Z&level=warn&text=row&telescope=demo%2Falpha&node=observatory%2Fmain": async () => {
       await becomes(pressed, ["Archive", "Warn and up", "24 h"]);

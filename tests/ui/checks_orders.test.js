@@ -167,7 +167,7 @@ test("an override is held, needs its reason and an end, and the audit has who, f
   await open(`/t/${ID}/audit`);
   const line = page.locator('[data-testid="audit-row"]');
   await line.first().waitFor();
-  assert.equal(await line.count(), 1, "a command is one line");
+  await becomes(() => line.count(), 1, "a command is one line");
   const told = await line.textContent();
   for (const part of [/27 Nov.*02:20:05/, /web\/ana@192\.0\.2\.7.*desk/, /override/, /“the sensor is wet”/, /refused.*ana may not/, /0\.5 s/]) assert.match(told, part);
 });

@@ -88,7 +88,7 @@ test("an order towards the sky is held to its end; let go before, it sends nothi
   await page.clock.runFor(1400);
   await hold.dispatchEvent("pointerup");
   await page.clock.runFor(5000);
-  assert.equal(await page.locator("dialog").count(), 1, "the dialog is still open");
+  await becomes(() => page.locator("dialog").count(), 1, "the dialog is still open");
   assert.deepEqual(await bus.orders(), []);
   await hold.dispatchEvent("pointerdown");
   await page.clock.runFor(1600);

@@ -240,7 +240,7 @@ test("a version of before is compared, brought back as a draft, and in force onl
   await version.locator(".del", { hasText: "was object WASP-79 exptime: 120, n: 20" }).waitFor();
   await version.locator(".add", { hasText: "becomes object WASP-79 exptime: 60, n: 40" }).waitFor();
   await version.locator(".del", { hasText: "removed object HATS-6" }).waitFor();
-  assert.equal(await version.locator(".add, .del").count(), 3);
+  await becomes(() => version.locator(".add, .del").count(), 3);
   await version.getByRole("button", { name: "Bring this one back …" }).click();
   await becomes(draft, old, "it is the draft");
   await page.getByTestId("changes").locator(".del", { hasText: "HATS-6" }).waitFor();
@@ -543,7 +543,7 @@ test("a file that is no UTF-8 is refused, and a dialog stays open when a text is
   await page.mouse.down();
   await page.mouse.move(3, 3);
   await page.mouse.up();
-  assert.equal(await page.locator("dialog").count(), 1);
+  await becomes(() => page.locator("dialog").count(), 1);
   await page.mouse.click(3, 3);
   await page.locator("dialog").waitFor({ state: "detached" });
   assert.deepEqual(unexpected(), []);

@@ -214,7 +214,7 @@ test("an alert whose cause went away calls nobody on the page of its telescope, 
   await open("/t/demo/beta", WIDE);
   const note = page.locator(`[data-testid="now"] [data-alert="${gone.id}"]`);
   await note.getByText(/its cause went away at 02:10:00/).waitFor();
-  assert.equal(await note.locator(".pri.off").count(), 1);
+  await becomes(() => note.locator(".pri.off").count(), 1);
   assert.doesNotMatch(await note.getAttribute("class"), /p[1-4]/);
   assert.doesNotMatch(await text(note), /Look at its server/);
 });

@@ -3,7 +3,7 @@
 import { test } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, becomes, chooseTheme, everyAddress, follow, looks, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
+import { LOOKS, TEST, becomes, chooseTheme, everyAddress, follow, looks, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
 
 const [bus, browser] = await withBrowser(startRecorded());
 await network(bus);
@@ -24,7 +24,7 @@ test("every page opens in three themes at two widths, fits, and has no serious f
       await settled(page);
       assert.equal(await page.locator("[data-broken]").count(), 0, "a part cannot be drawn");
       await becomes(() => page.locator("main h1").count(), 1, "titles");
-      found.push(...(await looks(page, address)));
+      found.push(...(await looks(page, address, LOOKS)));
     });
   }
   assert.deepEqual(found, []);
@@ -39,8 +39,8 @@ test("a text that cannot be read in one theme is found there, beside others that
     text.style.color = "#c8ccd0";
     document.querySelector("main").append(text);
   });
-  const found = await looks(page, "now");
-  assert.deepEqual(found.map((one) => one.split(">")[0]), [1280, 390].map((width) => `now ${width} light: color-contrast: <p style="color: rgb(200, 204, 208);"`));
+  const found = await looks(page, "now", LOOKS);
+  assert.deepEqual(found.map((one) => one.split(">")[0]), LOOKS.filter(([, theme]) => theme === "light").map(([{ width }]) => `now ${width} light: color-contrast: <p style="color: rgb(200, 204, 208);"`));
 });
 
 test("a theme is kept, and the key t goes through all", TEST, async () => {

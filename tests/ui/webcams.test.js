@@ -135,7 +135,7 @@ test("it opens large, stays live there, and Escape leads back to it", TEST, asyn
   const dialog = page.getByRole("dialog", { name: "Dome of alpha" });
   await dialog.locator("img").waitFor();
   await moreOf("dome", 2);
-  assert.ok(await dialog.locator("img").evaluate((image) => image.naturalWidth > 0));
+  await becomes(() => dialog.locator("img").evaluate((image) => image.naturalWidth > 0), true, "it has its picture");
   await page.keyboard.press("Escape");
   await dialog.waitFor({ state: "detached" });
   await becomes(() => page.evaluate(() => document.activeElement.getAttribute("aria-label")), "Dome of alpha, open large");

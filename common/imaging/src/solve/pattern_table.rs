@@ -215,7 +215,9 @@ fn of_point(
             squared[p][q] = (one.1.0 - other.1.0).powi(2) + (one.1.1 - other.1.1).powi(2);
         }
     }
-    for four in fours(stars.len()) {
+    // A pair that lies too far apart is in none: most fours are passed over without a look.
+    let are_near = |p: usize, q: usize| squared[p][q] < longest * longest;
+    for four in near_fours(stars.len(), are_near) {
         if four.iter().any(|n| uses[*n] >= USES) {
             continue;
         }
@@ -227,7 +229,7 @@ fn of_point(
             .fold((0.0, (a, b)), |most, side| if side.0 > most.0 { side } else { most });
         let mid = (0.5 * (stars[p].1.0 + stars[q].1.0), 0.5 * (stars[p].1.1 + stars[q].1.1));
         let off = (mid.0 - around.0).powi(2) + (mid.1 - around.1).powi(2);
-        if most < shortest * shortest || most >= longest * longest || off > near_squared {
+        if most < shortest * shortest || off > near_squared {
             continue;
         }
         shapes(&four.map(|n| stars[n].1), 0.0, |shape| {
@@ -245,4 +247,31 @@ fn of_point(
 /// All fours of so many stars; those without the later ones first.
 pub(super) fn fours(stars: usize) -> impl Iterator<Item = [usize; 4]> {
     (3..stars).flat_map(|d| (2..d).flat_map(move |c| (1..c).flat_map(move |b| (0..b).map(move |a| [a, b, c, d]))))
+}
+
+/// Those of [`fours`] in which any two are near each other, in the same order.
+fn near_fours(stars: usize, are_near: impl Fn(usize, usize) -> bool + Copy) -> impl Iterator<Item = [usize; 4]> {
+    let pairs = move |d: usize| (2..d).filter(move |c| are_near(*c, d)).map(move |c| (c, d));
+    let threes = move |(c, d): (usize, usize)| {
+        (1..c).filter(move |b| are_near(*b, c) && are_near(*b, d)).map(move |b| (b, c, d))
+    };
+    let whole = move |(b, c, d): (usize, usize, usize)| {
+        (0..b).filter(move |a| are_near(*a, b) && are_near(*a, c) && are_near(*a, d)).map(move |a| [a, b, c, d])
+    };
+    (3..stars).flat_map(pairs).flat_map(threes).flat_map(whole)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn near_fours_are_those_fours_whose_pairs_are_near() {
+        let are_near = |p: usize, q: usize| p.abs_diff(q) < 6;
+        let all_near =
+            |four: &[usize; 4]| four.iter().enumerate().all(|(n, p)| four[n + 1..].iter().all(|q| are_near(*p, *q)));
+        let expected: Vec<_> = fours(STARS).filter(all_near).collect();
+        assert!(expected.len() > 50 && expected.len() < fours(STARS).count() / 2, "{}", expected.len());
+        assert_eq!(near_fours(STARS, are_near).collect::<Vec<_>>(), expected);
+    }
 }
