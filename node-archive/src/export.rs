@@ -15,7 +15,7 @@ use units::Utc;
 use crate::database::{read_only, stamp};
 use crate::delivery::hash::hash_file;
 use crate::delivery::manifest::{Held, Manifest, ManifestFile};
-use crate::folder::{relative_text, without_links};
+use crate::folder::{is_stored, relative_text, without_links};
 use crate::night::Night;
 use crate::reader::Reader;
 use crate::{night_report, parquet};
@@ -77,7 +77,8 @@ pub struct Document {
 /// Writes a night into a folder that is new or empty. Blocks.
 ///
 /// # Errors
-/// The folder is in use or cannot be written, or the archive cannot be read. What was written so far stays, without manifest.
+/// The folder is in use or cannot be written, or the archive cannot be read, as when the disk of its files is away: then nothing
+/// was written. What was written so far stays, without manifest.
 pub fn export(config: &Observatory, database: &Path, night: &Night, out: &Path, now: Utc) -> anyhow::Result<Exported> {
     let folder = out.display();
     fs::create_dir_all(out).with_context(|| format!("cannot make the folder {folder}"))?;
@@ -86,13 +87,17 @@ pub fn export(config: &Observatory, database: &Path, night: &Night, out: &Path, 
     let frames = Reader::open(database, config.place.telescope.as_str())?.frames(night.from, night.to)?;
     let (mut exported, mut files) = (Exported::default(), Vec::new());
     let images = &config.folders.images;
-    for frame in &frames {
-        let (image, name) = (&frame.image, format!("files/{}", frame.image.file));
-        let (from, to) = (image.path(images), out.join(&name));
-        if !from.exists() {
+    let mut here = Vec::new();
+    for image in frames.iter().map(|frame| &frame.image) {
+        if is_stored(images, &image.path(images))? {
+            here.push(image);
+        } else {
             exported.gone.push(image.file.clone());
-            continue;
         }
+    }
+    for image in here {
+        let name = format!("files/{}", image.file);
+        let (from, to) = (image.path(images), out.join(&name));
         let cannot = || format!("cannot copy {} to {}", from.display(), to.display());
         without_links(images, &from).with_context(cannot)?;
         fs::create_dir_all(to.parent().unwrap_or(out)).with_context(cannot)?;

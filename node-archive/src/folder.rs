@@ -125,10 +125,41 @@ fn prepare(images: &Path, telescope: &Address) -> io::Result<()> {
     Ok(())
 }
 
-/// Whether the folder of images is there with the archive's own folder in it: where that is missing, the disk is away, and
-/// a file that is not there was not removed.
-pub fn is_here(images: &Path) -> bool {
-    images.join(PART_FOLDER).is_dir()
+/// Proves that the folder of images, with the archive's own in it, and these folders of files in it are there: where one is
+/// missing, the disk is away, and a file that is not there was not removed.
+///
+/// # Errors
+/// Which folder is missing, and what to do.
+pub fn all_here<'a>(images: &Path, folders: impl IntoIterator<Item = &'a Path>) -> anyhow::Result<()> {
+    let own = images.join(PART_FOLDER);
+    let away =
+        if own.is_dir() { folders.into_iter().find(|folder| !folder.is_dir()).map(Path::to_owned) } else { Some(own) };
+    let Some(away) = away else { return Ok(()) };
+    bail!(
+        "the folder {} is not there: its disk may be away. Mount it; if somebody removed the folder or moved it elsewhere, make \
+         an empty one of this name, and what was in it counts as removed",
+        away.display()
+    )
+}
+
+/// Whether a file is in the folder of images; where it is not, it was removed.
+///
+/// # Errors
+/// Its disk is away ([`all_here`]), or cannot be read.
+pub fn is_stored(images: &Path, file: &Path) -> anyhow::Result<bool> {
+    let is_there = file.try_exists().with_context(|| format!("cannot look for {}", file.display()))?;
+    if !is_there {
+        all_here(images, file.parent())?;
+    }
+    Ok(is_there)
+}
+
+/// Whether the folder of images is missing or empty, as the place of a disk is that is not mounted.
+pub fn is_bare(images: &Path) -> bool {
+    match fs::read_dir(images) {
+        Ok(mut entries) => entries.next().is_none(),
+        Err(error) => error.kind() == io::ErrorKind::NotFound,
+    }
 }
 
 /// Removes what a kill left half written by this telescope's archive. Only under a [`Claim`].
@@ -206,7 +237,11 @@ pub fn sync_folder(file: &Path) -> io::Result<()> {
 }
 
 /// Writes a file of the folder of images whole or not at all, and makes the folders that it needs.
+///
+/// # Errors
+/// The file system refuses, or the disk is away: what is written into its place would lie under it later.
 pub fn put(images: &Path, file: &Path, bytes: &[u8]) -> io::Result<()> {
+    all_here(images, None).map_err(io::Error::other)?;
     without_links(images, file)?;
     let mut folders: Vec<&Path> = file.ancestors().skip(1).take_while(|folder| *folder != images).collect();
     folders.reverse();
@@ -254,6 +289,13 @@ pub fn rename_to_free(part: &Path, target: &Path) -> io::Result<()> {
 /// Is there anything of this name, a link that leads nowhere included?
 pub fn is_taken(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok()
+}
+
+/// A path relative to the folder of images as text that leads back to it and stands in one line of a list; absent for a name
+/// that is no such text.
+pub fn exact_text(images: &Path, path: &Path) -> Option<String> {
+    let text = relative_text(images, path);
+    (images.join(&text) == path && !text.chars().any(char::is_control)).then_some(text)
 }
 
 /// A path relative to the folder of images, with `/` on every system.

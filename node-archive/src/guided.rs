@@ -2,7 +2,7 @@
 //!
 //! It is in the header of every frame during which guiding measured something, whether the site's table lists it or not,
 //! as the keywords of [`crate::quality`]. A frame that is guided on itself counts for its own exposure. Which guided frames
-//! count, the database says, for its views too (`database/guiding.rs`).
+//! count, the database says, for its views and the night's report too (`database/guiding.rs`).
 
 use std::time::Duration;
 
@@ -28,7 +28,7 @@ const NOT_GUIDED: &str = "not guided, as far as known at completion";
 /// # Errors
 /// The database.
 pub fn plan(reader: &Reader, telescope: &str, frame: &Frame) -> Result<Plan, DatabaseError> {
-    let errors_px = reader.guide_errors(telescope, &frame.camera, span(frame))?;
+    let errors_px: Vec<f64> = reader.guided_frames(telescope, frame)?.iter().map(|guided| guided.off_px).collect();
     Ok(match rms(&errors_px) {
         Some(rms_px) => {
             let comment = format!("[pix] rms guide error, guide frames: {}", errors_px.len());

@@ -10,6 +10,7 @@ use node::NodeAlerts;
 
 use super::*;
 use crate::database::{Database, StoredCorrection, StoredFacts, StoredImage, Write};
+use crate::night::Night;
 
 const START: &str = "2026-11-21T03:00:00Z";
 
@@ -140,7 +141,7 @@ async fn a_frame_counts_what_was_measured_from_its_first_to_its_last_moment_and_
 
 /// A camera of its own guides, and the first frame of the row, too, is looked at.
 #[tokio::test(flavor = "multi_thread")]
-async fn the_frames_that_guided_are_the_same_for_the_keyword_and_for_the_view_of_the_database() {
+async fn the_frames_that_guided_are_the_same_for_the_keyword_the_view_of_the_database_and_the_report() {
     let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
     let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
     let folder = tempfile::tempdir().unwrap();
@@ -196,6 +197,11 @@ async fn the_frames_that_guided_are_the_same_for_the_keyword_and_for_the_view_of
         let rms_arcsec: f64 = view.query_row(sql, [id], |row| row.get(0)).unwrap();
         assert!((rms_arcsec - 2.0 * rms_px).abs() < 1e-9, "{id}: {rms_arcsec}");
     }
+    // Pixels of two cameras are two units: each has a figure of its own.
+    let night = Night { date: "20261120".parse().unwrap(), from: at(-3600.0), to: at(3600.0) };
+    let held = report::make(&reader.night_events(&night, night.to).unwrap()).guiding;
+    let held: Vec<_> = held.iter().map(|of| (of.camera.as_str(), of.bin.is_some(), of.frames, of.rms_px)).collect();
+    assert_eq!(held, [("andor", true, 1, 3.0), ("guider", false, 2, 50_f64.sqrt())]);
     drop(database);
     writer.end().await;
 }

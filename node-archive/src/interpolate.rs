@@ -54,6 +54,26 @@ pub fn flag_of(kind: Kind) -> Option<&'static str> {
     }
 }
 
+impl Around {
+    /// The polls of a flag around an exposure from `start` to `end`, in the order of time, each with its value where it had one:
+    /// those of within `holds_s` of the begin show the moves.
+    pub fn of_flag(said: Vec<(Utc, Option<Scalar>)>, (start, end): (Utc, Utc), holds_s: f64) -> Self {
+        let newest = said.last().map(|(at, _)| *at);
+        let values = said.into_iter().filter_map(|(at, value)| Some(Sample { at, value: value? }));
+        let values: Vec<Sample> = values.collect();
+        let is_near = |sample: &&Sample| sample.at.seconds_since(start).abs() <= holds_s;
+        let rest = Rest::of(&values.iter().filter(is_near).cloned().collect::<Vec<_>>(), (start, end));
+        let begins = rest.begins(start);
+        let (before, after) = values.split_at(values.partition_point(|sample| sample.at < begins));
+        Self {
+            before: before.iter().rev().take(2).cloned().collect(),
+            after: after.iter().take(2).cloned().collect(),
+            received_since: newest.is_some_and(|newest| newest >= begins),
+            rest,
+        }
+    }
+}
+
 impl Rest {
     /// By what a device said of its moves around an exposure from `start` to `end`, in the order of time. It rests when the
     /// exposure begins; by clocks that disagree a little it may seem to rest a moment later.
@@ -318,6 +338,33 @@ mod tests {
         // A filter wheel between two filters.
         let wheel = [(-2.0, -1), (-1.0, 3)].map(|(second, position)| sample(second, Scalar::Int(position)));
         assert_eq!(Rest::of(&wheel, (at(0.0), at(1.0))).from, Some(at(-1.0)));
+    }
+
+    #[test]
+    fn one_look_at_a_flag_shows_the_moves_the_values_and_whether_the_device_was_there_since() {
+        let moves = |second: f64, moves: Option<bool>| (at(second), moves.map(Scalar::Bool));
+        let flag = |said: &[(f64, Option<bool>)]| {
+            let said = said.iter().map(|(second, value)| moves(*second, *value)).collect();
+            Around::of_flag(said, (at(0.0), at(1.0)), 60.0)
+        };
+        let seconds = |samples: &[Sample]| -> Vec<f64> {
+            samples.iter().map(|sample| sample.at.seconds_since(at(0.0))).collect()
+        };
+        let slewed = [(-3.0, false), (-2.0, true), (-1.0, false), (1.0, false), (2.0, false), (3.0, false)];
+        let around = flag(&slewed.map(|(second, moves)| (second, Some(moves))));
+        assert_eq!((seconds(&around.before), seconds(&around.after)), (vec![-1.0, -2.0], vec![1.0, 2.0]));
+        assert_eq!(
+            (around.rest.moved, around.rest.from, around.received_since),
+            (Some(at(-2.0)), Some(at(-1.0)), true)
+        );
+        // Moves of long before and after are none of this exposure, and show that there is a flag and a device.
+        let around = flag(&[(-90.0, Some(true)), (90.0, Some(true))]);
+        assert_eq!((seconds(&around.before), seconds(&around.after)), (vec![-90.0], vec![90.0]));
+        assert_eq!((around.rest, around.received_since), (Rest::default(), true));
+        // The device is there, and gives no value.
+        assert!(flag(&[(-1.0, Some(false)), (0.5, None)]).received_since);
+        assert!(!flag(&[(-1.0, Some(false)), (-0.5, None)]).received_since);
+        assert_eq!(flag(&[]), Around::default());
     }
 
     #[test]

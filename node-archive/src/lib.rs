@@ -46,6 +46,9 @@
 //!   `no_row_and_no_link_leads_out_of_the_folder_of_images`.
 //! - A damaged database is put aside whole before a new one is written:
 //!   `a_damaged_database_is_put_aside_and_a_new_one_takes_rows`.
+//! - A file that is not there was removed only where its disk is there, and nothing is written into the place of one that is away:
+//!   `a_file_that_is_not_there_was_removed_only_where_its_disk_is_there`,
+//!   `an_archive_that_starts_while_its_disk_is_away_writes_nothing_into_the_place_of_the_disk`.
 //! - The audit here is a copy: the archive asks the nodes, whose own files decide:
 //!   `an_archive_that_was_away_has_every_record_in_its_order_afterwards`.
 
@@ -192,7 +195,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
 /// A database that cannot be opened is tried again after this.
 const AGAIN: Duration = Duration::from_secs(15);
 
-/// Takes the folder of images, again and again while the disk refuses it; absent when the node is stopped before.
+/// Takes the folder of images, again and again while the disk refuses it or is away; absent when the node is stopped before.
 ///
 /// # Errors
 /// Another archive has it.
@@ -203,7 +206,11 @@ async fn claim_folder(
     telescope: &Address,
 ) -> anyhow::Result<Option<folder::Claim>> {
     loop {
-        let why = match folder::claim(images, database, telescope, &node.signature()).await {
+        let claimed = match disk_is_there(images, database, telescope) {
+            Ok(()) => folder::claim(images, database, telescope, &node.signature()).await,
+            Err(away) => Err(away.into()),
+        };
+        let why = match claimed {
             Ok(claim) => {
                 node.alerts.clear(AlertKind::Configuration, "folders.images");
                 return Ok(Some(claim));
@@ -217,6 +224,24 @@ async fn claim_folder(
         if node.stop.or(tokio::time::sleep(AGAIN)).await.is_none() {
             return Ok(None);
         }
+    }
+}
+
+/// Proves that the folder of images is not the bare place of a disk: what was written there would lie under the disk later.
+///
+/// # Errors
+/// It is missing or empty, although the database knows frames in it.
+fn disk_is_there(images: &Path, database: &Path, telescope: &Address) -> std::io::Result<()> {
+    // A database that is new, damaged or of an older Starmesh says nothing.
+    let known = Reader::open(database, telescope.telescope.as_str()).and_then(|reader| reader.image_counts());
+    match known {
+        Ok((frames @ 1.., _)) if folder::is_bare(images) => Err(std::io::Error::other(format!(
+            "the database has {frames} frames, and the folder of images {} is missing or empty: its disk may be away. Mount it; if \
+             the folder is a new one, make the folder {} in it",
+            images.display(),
+            folder::PART_FOLDER
+        ))),
+        _ => Ok(()),
     }
 }
 

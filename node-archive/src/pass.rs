@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use bus::{MachineTime, Publisher};
 use config::Observatory;
 use config::header::{HeaderTable, Source};
@@ -19,10 +19,11 @@ use contract::{BootId, CommandId, Device, Kind, Scalar};
 use node::Node;
 use tokio::sync::Notify;
 
+use crate::card::Card;
 use crate::completion::{Completer, CompletionError, read_header};
 use crate::database::{Database, DatabaseError, StoredFacts, StoredImage, Write};
 use crate::facts;
-use crate::folder::{is_here, without_links};
+use crate::folder::{all_here, without_links};
 use crate::header::{Later, completion, needed, unknown_before};
 use crate::interpolate::{Around, Rest, flag_of};
 use crate::pairing::pairing;
@@ -30,6 +31,7 @@ use crate::plan::Plan;
 use crate::quality::GUIDED;
 use crate::reader::Reader;
 use crate::sensor::unknown_of_sensor;
+use crate::stored_header::Header;
 use crate::telemetry::Newest;
 use crate::{guided, quality, solution};
 
@@ -114,18 +116,21 @@ pub fn complete_image(
     let devices = pairing(config, &camera, frame);
     let _snapshot = reader.snapshot()?;
     let holds_s = site.holds_s();
-    let rests = rests(reader, &devices, frame, holds_s)?;
+    let mut polls: HashMap<(Kind, &str), Around> = flags(reader, &devices, frame, holds_s)?;
+    let rests: HashMap<Kind, Rest> = polls.iter().map(|((kind, _), around)| (*kind, around.rest)).collect();
     let look = |kind: Kind, device: &Device, property: &str| {
         // A focuser that has moved is as warm as before.
         let rest = rests.get(&kind).filter(|_| property != "Temperature").copied().unwrap_or_default();
         let around = reader.around(device, property, rest.begins(frame.started_utc));
         around.map(|around| Around { rest, ..around })
     };
-    let mut polls: HashMap<(Kind, &str), Around> = HashMap::new();
     let flags = needed(site.table).filter_map(|(kind, _)| Some((kind, flag_of(kind)?)));
     for (kind, property) in needed(site.table).chain(flags) {
-        let Some(device) = devices.get(&kind).filter(|_| !polls.contains_key(&(kind, property))) else { continue };
-        let around = look(kind, device, property)?;
+        let Some(device) = devices.get(&kind) else { continue };
+        let around = match polls.remove(&(kind, property)) {
+            Some(around) => around,
+            None => look(kind, device, property)?,
+        };
         // A property that never had a value is not waited for once its device has published a state.
         let is_void = around.before.is_empty() && site.newest.received_since(device, frame.started_utc);
         if !around.received_since && !is_void && !impatient {
@@ -135,9 +140,7 @@ pub fn complete_image(
         polls.insert((kind, property), Around { received_since, ..around });
     }
     let path = image.path(&config.folders.images);
-    without_links(&config.folders.images, &path).context("the file is not where it was written")?;
-    site.completer.recover(&path)?;
-    let stored = read_header(&path)?;
+    let stored = own_header(&config.folders.images, site.completer, image)?;
     let (present, unknown) = (stored.keywords(), unknown_before(site.table, &stored));
     for (kind, property) in missing_fixed(site.table, &present).chain(POINTING) {
         if let (Some(device), false) = (devices.get(&kind), polls.contains_key(&(kind, property))) {
@@ -166,22 +169,54 @@ pub fn complete_image(
     Ok(Some(plan))
 }
 
-/// Between which moves of each device that can move a frame was exposed.
-fn rests(
+/// The polls of the flags of all devices that can move, and between which moves the frame was exposed: one look for each.
+fn flags(
     reader: &Reader,
     devices: &HashMap<Kind, Device>,
     frame: &Frame,
     holds_s: f64,
-) -> Result<HashMap<Kind, Rest>, DatabaseError> {
+) -> Result<HashMap<(Kind, &'static str), Around>, DatabaseError> {
     let start = frame.started_utc;
-    let (exposure, mut rests) = ((start, start.plus_seconds(frame.exposure_s)), HashMap::new());
+    let (exposure, mut flags) = ((start, start.plus_seconds(frame.exposure_s)), HashMap::new());
     for (kind, device) in devices {
         if let Some(flag) = flag_of(*kind) {
             let said = reader.polls(device, flag, (start.plus_seconds(-holds_s), start.plus_seconds(holds_s)))?;
-            rests.insert(*kind, Rest::of(&said, exposure));
+            flags.insert((*kind, flag), Around::of_flag(said, exposure, holds_s));
         }
     }
-    Ok(rests)
+    Ok(flags)
+}
+
+/// The header of a frame's file, once what a kill interrupted is finished.
+///
+/// # Errors
+/// There is no such file, or it is none of this frame: somebody has put another one in its place, which keeps its header.
+fn own_header(images: &Path, completer: &Completer, image: &StoredImage) -> anyhow::Result<Header> {
+    let path = image.path(images);
+    without_links(images, &path).context("the file is not where it was written")?;
+    completer.recover(&path)?;
+    let header = read_header(&path)?;
+    if let Some(other) = other_frame(&header, image) {
+        let (path, own) = (path.display(), &image.frame.id);
+        bail!("{path} is the file of frame {other}; put that of frame {own} back under this name");
+    }
+    Ok(header)
+}
+
+/// The frame that a header names, where it is another one.
+fn other_frame(header: &Header, image: &StoredImage) -> Option<String> {
+    // As a card has it: cut, and without what FITS cannot carry.
+    let own = Card::new("FRAMEID", image.frame.id.0.as_str().into(), "").record()?;
+    let is_own = header.cards().any(|card| card.starts_with(own.trim_end()));
+    header.value("FRAMEID").filter(|_| !is_own)
+}
+
+/// An error in words for a person, with the folder that is away where that is the reason.
+fn reason(images: &Path, image: &StoredImage, error: &anyhow::Error) -> String {
+    match all_here(images, image.path(images).parent()) {
+        Ok(()) => format!("{error:#}"),
+        Err(away) => format!("{error:#}: {away:#}"),
+    }
 }
 
 /// The keywords that the facts of a frame add to its header.
@@ -203,26 +238,28 @@ enum Late {
 fn put_late(images: &Path, table: &HeaderTable, image: &StoredImage, facts: &FrameFacts) -> Late {
     let (path, completer) = (image.path(images), Completer::new(images));
     let put = || -> anyhow::Result<()> {
-        without_links(images, &path)?;
-        completer.recover(&path)?;
-        let plan = measured(table, facts, &image.frame);
-        Ok(completer.complete(&path, read_header(&path)?, &plan)?)
+        let header = own_header(images, &completer, image)?;
+        Ok(completer.complete(&path, header, &measured(table, facts, &image.frame))?)
     };
     match put() {
         Ok(()) => Late::InHeader,
-        Err(error) if is_gone(images, &path) => Late::Gone(format!("{error:#}")),
-        Err(error) => Late::Failed(format!("{error:#}")),
+        Err(error) if is_gone(images, image) => Late::Gone(format!("{error:#}")),
+        Err(error) => Late::Failed(reason(images, image, &error)),
     }
 }
 
-/// Whether there is no file of ours at a path of a folder that is there.
-fn is_gone(images: &Path, path: &Path) -> bool {
+/// Whether there is no file of ours at the path of a frame whose folder is there.
+fn is_gone(images: &Path, image: &StoredImage) -> bool {
+    let path = image.path(images);
     let is_missing = |error: &CompletionError| match error {
         CompletionError::NoHeader(_) => true,
         CompletionError::File { source, .. } => source.kind() == ErrorKind::NotFound,
     };
-    is_here(images)
-        && (without_links(images, path).is_err() || read_header(path).is_err_and(|error| is_missing(&error)))
+    let is_none = || match read_header(&path) {
+        Ok(header) => other_frame(&header, image).is_some(),
+        Err(error) => is_missing(&error),
+    };
+    all_here(images, path.parent()).is_ok() && (without_links(images, &path).is_err() || is_none())
 }
 
 /// Fixed properties that the devices had not published yet when the file was made.
@@ -325,7 +362,7 @@ impl Pass {
         for (image, waited) in due {
             let outcome = match self.complete(&reader, &image, waited) {
                 Ok(outcome) => outcome,
-                Err(error) => Outcome::Failed(format!("{error:#}")),
+                Err(error) => Outcome::Failed(reason(&self.node.config.folders.images, &image, &error)),
             };
             completed += u32::from(matches!(outcome, Outcome::Complete(_)));
             done.push((image, outcome));

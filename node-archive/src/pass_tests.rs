@@ -16,7 +16,6 @@ use crate::database::StoredCorrection;
 use crate::fits::{FitsFile, Shape};
 use crate::folder::PART_FOLDER;
 use crate::header::{HeaderFacts, base, room};
-use crate::stored_header::Header;
 
 const SHAPE: Shape = Shape { pixel: Pixel::U16, width_px: 4, height_px: 2, planes: 1 };
 
@@ -194,7 +193,7 @@ async fn a_frame_whose_guiding_is_known_later_is_no_more_one_that_was_not_guided
 
 #[tokio::test(flavor = "multi_thread")]
 async fn late_facts_are_given_up_only_where_the_file_is_gone() {
-    let stage = Stage::new().await;
+    let mut stage = Stage::new().await;
     stage.complete(None);
     let (images, path) = (&stage.config.folders.images, stage.path());
     let put = || put_late(images, &stage.table, &stage.image, &solved());
@@ -216,5 +215,37 @@ async fn late_facts_are_given_up_only_where_the_file_is_gone() {
         std::fs::remove_file(&path).unwrap();
     }
     std::fs::remove_dir_all(images.join(PART_FOLDER)).unwrap();
-    assert!(matches!(put(), Late::Failed(_)), "the disk is away");
+    let Late::Failed(why) = put() else { panic!("the disk is away") };
+    assert!(why.contains(".part is not there: its disk may be away. Mount it"), "{why}");
+    // An archive was started meanwhile, and made its own folder.
+    std::fs::create_dir(images.join(PART_FOLDER)).unwrap();
+    assert!(matches!(put(), Late::Gone(_)));
+    stage.image.file = "20261121/a.fits".to_owned();
+    let images = &stage.config.folders.images;
+    let put = || put_late(images, &stage.table, &stage.image, &solved());
+    assert!(matches!(put(), Late::Failed(_)), "the folder of the night is away");
+    std::fs::create_dir(images.join("20261121")).unwrap();
+    assert!(matches!(put(), Late::Gone(_)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_file_of_another_frame_that_has_taken_the_name_keeps_its_header() {
+    let mut stage = Stage::new().await;
+    let before = std::fs::read(stage.path()).unwrap();
+    stage.image.frame.id = CommandId("frame-2".to_owned());
+    let reader = Reader::open(&stage.config.archive.database, "callisto").unwrap();
+    let (newest, completer) = (Newest::default(), Completer::new(&stage.config.folders.images));
+    let (config, table) = (&stage.config, &stage.table);
+    let site = Site { config, table, newest: &newest, speed: 1.0, completer: &completer };
+    let why = complete_image(&site, &reader, &stage.image, None, true).unwrap_err().to_string();
+    assert!(why.contains("a.fits is the file of frame frame-1; put that of frame frame-2 back"), "{why}");
+    let late = put_late(&stage.config.folders.images, &stage.table, &stage.image, &solved());
+    assert!(matches!(late, Late::Gone(_)), "the facts stay in the database");
+    assert!(std::fs::read(stage.path()).unwrap() == before);
+    // A file of before there was a FRAMEID is taken as it is.
+    let mut header = stage.header();
+    header.retain(|keyword| keyword != "FRAMEID");
+    completer.complete(&stage.path(), header, &Plan::default()).unwrap();
+    complete_image(&site, &reader, &stage.image, None, true).unwrap().unwrap();
+    assert_eq!(stage.header().value("ALTITUDE").as_deref(), Some("50.0"));
 }

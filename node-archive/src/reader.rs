@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use audit::Link;
+use contract::device::camera::Frame;
 use contract::{BootId, CommandId, Key};
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OptionalExtension as _, Row, params};
@@ -36,6 +37,19 @@ pub struct Reader {
     telescope: String,
     is_over: Option<IsOver>,
     is_cut: Cell<bool>,
+}
+
+/// A frame by which a telescope was held.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GuidedFrame {
+    /// Its id.
+    pub id: String,
+    /// The camera that guided.
+    pub camera: String,
+    /// Its binning; absent where the frame is not stored.
+    pub bin: Option<u32>,
+    /// How far its stars were from those of the reference, px of the frame.
+    pub off_px: f64,
 }
 
 /// Is there no time left to look?
@@ -138,17 +152,19 @@ impl Reader {
         look().map_err(|source| self.failed(source))
     }
 
-    /// How far the guided frames by which a telescope was held during an exposure of a camera were from their reference, px.
-    pub fn guide_errors(
-        &self,
-        telescope: &str,
-        camera: &str,
-        (from, to): (Utc, Utc),
-    ) -> Result<Vec<f64>, DatabaseError> {
-        let sql = holding!("(SELECT '' AS frame_id, ?1 AS telescope, ?2 AS camera_name, ?3 AS begins, ?4 AS ends)");
-        self.list(sql, params![telescope, camera, stamp(from), stamp(to)], |row| {
+    /// The guided frames by which a telescope was held during the exposure of a frame: of one camera.
+    pub fn guided_frames(&self, telescope: &str, frame: &Frame) -> Result<Vec<GuidedFrame>, DatabaseError> {
+        let sql = concat!(
+            "SELECT guide_id, camera, shift_x, shift_y,
+                iif(json_valid(images.frame), json_extract(images.frame, '$.bin'), NULL) AS bin FROM (",
+            holding!("(SELECT '' AS frame_id, ?1 AS telescope, ?2 AS camera_name, ?3 AS begins, ?4 AS ends)"),
+            ") AS held LEFT JOIN images ON images.frame_id = guide_id"
+        );
+        let ends = frame.started_utc.plus_seconds(frame.exposure_s);
+        self.list(sql, params![telescope, frame.camera, stamp(frame.started_utc), stamp(ends)], |row| {
             let (x_px, y_px): (f64, f64) = (row.get("shift_x")?, row.get("shift_y")?);
-            Ok(x_px.hypot(y_px))
+            let (id, camera, bin) = (row.get("guide_id")?, row.get("camera")?, row.get("bin")?);
+            Ok(GuidedFrame { id, camera, bin, off_px: x_px.hypot(y_px) })
         })
     }
 

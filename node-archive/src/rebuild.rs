@@ -22,7 +22,7 @@ use crate::card::{Card, CardValue};
 use crate::database::{Database, StoredImage, Write};
 use crate::delivery::hash::hex;
 use crate::fits::Shape;
-use crate::folder::{PART_FOLDER, relative_text as relative};
+use crate::folder::{PART_FOLDER, exact_text, relative_text as relative};
 use crate::header::with_names;
 use crate::name::COMPRESSED;
 use crate::reader::Reader;
@@ -33,7 +33,8 @@ const DEEPEST: usize = 16;
 /// Bytes of pixels that are hashed in one go.
 const CHUNK: usize = 1 << 20;
 
-type Files = HashMap<CommandId, PathBuf>;
+/// The files that name each frame: one of several may be a half copy of another.
+type Files = HashMap<CommandId, Vec<PathBuf>>;
 
 /// The files that the database did not know when this archive began, once they are found.
 #[derive(Debug)]
@@ -57,12 +58,13 @@ impl OnDisk {
         }
         let mut found = self.found.clone();
         let files = found.wait_for(Option::is_some).await.ok()?.clone()?;
-        let path = files.get(&frame.id)?.clone();
+        let paths = files.get(&frame.id)?.clone();
         let (images, frame) = (images.to_owned(), frame.clone());
-        let prove = move || -> io::Result<Option<(String, u64)>> {
-            let Some(image) = read(&images, &path)? else { return Ok(None) };
-            let is_same = image.shape == Shape::of(&frame) && image.sha256.eq_ignore_ascii_case(&frame.sha256);
-            Ok(is_same.then(|| (relative(&images, &path), image.bytes)))
+        let prove = move || {
+            first_of(&images, &paths, |image, path| {
+                let is_same = image.shape == Shape::of(&frame) && image.sha256.eq_ignore_ascii_case(&frame.sha256);
+                is_same.then(|| (relative(&images, path), image.bytes))
+            })
         };
         match tokio::task::spawn_blocking(prove).await {
             Ok(Ok(proven)) => proven,
@@ -93,9 +95,8 @@ pub async fn keep(
         }));
         found.send_replace(Some(files.clone()));
         let (mut recorded, mut left_out, mut example) = (0, 0, None);
-        for (id, path) in files.iter() {
-            let (node, id, path, file) = (node.clone(), id.clone(), path.clone(), database.path().to_owned());
-            let name = path.clone();
+        for (id, paths) in files.iter() {
+            let (node, id, of, file) = (node.clone(), id.clone(), paths.clone(), database.path().to_owned());
             let images = node.config.folders.images.clone();
             let work = move || -> anyhow::Result<Look> {
                 let config = &node.config;
@@ -103,8 +104,8 @@ pub async fn keep(
                 if Reader::open(&file, config.place.telescope.as_str())?.image(&id)?.is_some() {
                     return Ok(Look::Known);
                 }
-                let row =
-                    read(&config.folders.images, &path)?.and_then(|image| image.row(config, &node.header, id, path));
+                let row = |image: Found, path: &Path| image.row(config, &node.header, id.clone(), path.to_owned());
+                let row = first_of(&config.folders.images, &of, row)?;
                 Ok(row.map_or(Look::NotOurs, |(image, is_complete)| Look::Ours(Box::new(image), is_complete)))
             };
             match tokio::task::spawn_blocking(work).await? {
@@ -119,7 +120,7 @@ pub async fn keep(
                 Ok(Look::Known) => {}
                 Ok(Look::NotOurs) => {
                     left_out += 1;
-                    example.get_or_insert(name);
+                    example = example.or(paths.first());
                 }
                 Err(error) => tracing::warn!(error = format!("{error:#}"), "a file is not recorded"),
             }
@@ -127,7 +128,7 @@ pub async fn keep(
         if let Some(example) = example {
             tracing::info!(
                 files = left_out, example = %example.display(),
-                "frames in the folder of images are not in the database and not recorded: by TELESCOP and INSTRUME they are of no camera here"
+                "frames in the folder of images are not in the database and not recorded: they are not whole, or by TELESCOP and INSTRUME of no camera here"
             );
         }
         if recorded > 0 {
@@ -147,17 +148,56 @@ fn unknown(images: &Path, database: &Path, telescope: &str) -> anyhow::Result<Fi
     Reader::open(database, telescope)?.each_file(|file| {
         known.insert(short(file));
     })?;
-    let mut files = Files::new();
+    let (mut files, mut unnamed) = (Files::new(), None);
     walk(images, images, DEEPEST, &mut |path| {
+        // A row could not lead to it.
+        if exact_text(images, &path).is_none() {
+            unnamed.get_or_insert(path);
+            return;
+        }
         // Of telescopes that share the database, others have their own folders, with the same names.
         if known.contains(&short(&relative(images, &path))) || known.contains(&short(&path.to_string_lossy())) {
             return;
         }
         if let Ok(Some(id)) = Header::read(&path).map(|header| header?.value("FRAMEID")) {
-            files.insert(CommandId(id), path);
+            files.entry(CommandId(id)).or_default().push(path);
         }
     });
+    if let Some(example) = unnamed {
+        tracing::warn!(
+            ?example,
+            "files whose names are not UTF-8, or have control characters, are passed over; rename them if they are frames"
+        );
+    }
+    for paths in files.values_mut() {
+        // Copies lie deeper and have longer names.
+        paths.sort_by_cached_key(|path| (path.components().count(), path.as_os_str().len(), path.clone()));
+    }
     Ok(files)
+}
+
+/// What is made of the first file of which something is made.
+///
+/// # Errors
+/// Of none, and a file cannot be read.
+fn first_of<T>(
+    images: &Path,
+    paths: &[PathBuf],
+    mut make: impl FnMut(Found, &Path) -> Option<T>,
+) -> io::Result<Option<T>> {
+    let mut fault = None;
+    for path in paths {
+        match read(images, path) {
+            Ok(found) => {
+                let made = found.and_then(|found| make(found, path));
+                if made.is_some() {
+                    return Ok(made);
+                }
+            }
+            Err(error) => fault = Some(error),
+        }
+    }
+    fault.map_or(Ok(None), Err)
 }
 
 /// What a file proves to be.
@@ -410,5 +450,77 @@ mod tests {
         }
         let frame = row(&own, "SPC O'Neil", "Andor blue").unwrap();
         assert_eq!((frame.bin, frame.origin_px), (2, [64, 32]));
+    }
+
+    /// Writes the file of a frame.
+    fn write(path: &Path, id: &str) {
+        let shape = Shape { pixel: Pixel::U16, width_px: 4, height_px: 2, planes: 1 };
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        let mut file = crate::fits::FitsFile::create(path, &shape).unwrap();
+        for (keyword, text) in [("FRAMEID", id), ("DATE-OBS", "2026-11-21T03:00:00.5"), ("INSTRUME", "red")] {
+            file.set(&Card::new(keyword, text.into(), "")).unwrap();
+        }
+        file.write_pixels(&shape, &[7; 16]).unwrap();
+        file.close().unwrap();
+    }
+
+    /// A folder of images with a database that knows none of its frames.
+    async fn bare() -> (tempfile::TempDir, Observatory) {
+        let folder = tempfile::tempdir().unwrap();
+        let config = config::parse(&format!("{}{TWO_CAMERAS}", test_support::PARANAL), folder.path()).unwrap();
+        let alerts = node::NodeAlerts::new(bus::Clock::machine_clock());
+        let (database, writer) = Database::open(&config.archive.database, "callisto", alerts).unwrap();
+        drop(database);
+        writer.end().await;
+        (folder, config)
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn of_several_files_of_a_frame_the_first_whole_one_is_recorded() {
+        let (_folder, config) = bare().await;
+        let images = &config.folders.images;
+        let names = ["20261121/a.fits", "20261121/a-half.fits", "20261121/a-whole.fits", "backup/20261121/a.fits"];
+        for name in names {
+            write(&images.join(name), "frame-1");
+        }
+        let cut = |name: &str, bytes| {
+            File::options().write(true).open(images.join(name)).unwrap().set_len(bytes).unwrap();
+        };
+        let whole = fs::metadata(images.join(names[0])).unwrap().len();
+        let files = || unknown(images, &config.archive.database, "callisto").unwrap();
+        let recorded = || {
+            let row = |found: Found, path: &Path| {
+                found.row(&config, &HeaderTable::default(), CommandId("frame-1".to_owned()), path.to_owned())
+            };
+            let paths = files().remove(&CommandId("frame-1".to_owned())).unwrap();
+            first_of(images, &paths, row).unwrap().map(|(image, _)| image.file)
+        };
+        assert_eq!(recorded().as_deref(), Some(names[0]));
+        // The copy of a full disk ends behind the header, another one has no byte.
+        cut(names[0], whole - 2880);
+        cut(names[1], 0);
+        assert_eq!(recorded().as_deref(), Some(names[2]));
+        cut(names[2], whole - 2880);
+        assert_eq!(recorded().as_deref(), Some(names[3]));
+        cut(names[3], whole - 2880);
+        assert_eq!(recorded(), None);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_file_is_recorded_only_under_a_name_that_leads_back_to_it() {
+        use std::os::unix::ffi::OsStrExt as _;
+        let (_folder, config) = bare().await;
+        let images = &config.folders.images;
+        let name = |bytes: &'static [u8]| images.join(std::ffi::OsStr::from_bytes(bytes));
+        let plain = images.join("plain.fits");
+        write(&plain, "frame");
+        let odd: [&[u8]; 4] = [b"with blanks/a b.fits", b"latin-\xe9.fits", b"old\xff/a.fits", b"two\nlines.fits"];
+        for name in odd.map(name) {
+            fs::create_dir_all(name.parent().unwrap()).unwrap();
+            fs::copy(&plain, name).unwrap();
+        }
+        let found = unknown(images, &config.archive.database, "callisto").unwrap();
+        assert_eq!(found[&CommandId("frame".to_owned())], [plain.clone(), images.join("with blanks/a b.fits")]);
     }
 }

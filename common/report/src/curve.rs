@@ -54,7 +54,7 @@ pub struct CurvePoint {
     pub comparison_adu: f64,
     /// Airmass.
     pub airmass: Option<f64>,
-    /// Width of the stars, arcsec; px where the scale is not known.
+    /// Width of the stars, arcsec; absent where the scale is not known.
     pub fwhm_arcsec: Option<f64>,
     /// Sky, ADU.
     pub sky_adu: Option<f64>,
@@ -115,7 +115,7 @@ fn curve(fluxes: &[&FluxRecord], frames: &BTreeMap<&str, &FrameRecord>, events: 
                 target_adu: target.flux_adu,
                 comparison_adu,
                 airmass: frame.airmass,
-                fwhm_arcsec: frame.fwhm_px.map(|fwhm| fwhm * frame.scale_arcsec_px.unwrap_or(1.0)),
+                fwhm_arcsec: frame.fwhm_px.zip(frame.scale_arcsec_px).map(|(fwhm, scale)| fwhm * scale),
                 sky_adu: frame.sky_adu,
                 dx_px: target.x_px - origin.x_px,
                 dy_px: target.y_px - origin.y_px,
@@ -126,6 +126,8 @@ fn curve(fluxes: &[&FluxRecord], frames: &BTreeMap<&str, &FrameRecord>, events: 
         frame.object == first.object
             && frame.filter == first.filter
             && frame.camera == first.camera
+            && frame.bin == first.bin
+            && frame.exposure_us() == first.exposure_us()
             && frame.action == first.action
             && frame.refused.is_none()
     };

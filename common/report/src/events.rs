@@ -39,7 +39,7 @@ pub struct NightEvents {
     pub orders: Vec<OrderRecord>,
     /// Focus runs.
     pub focus: Vec<FocusRecord>,
-    /// Corrections of guiding.
+    /// Guided frames that held the frames of targets, each once for an object.
     pub guiding: Vec<GuideRecord>,
     /// Fluxes of stars, by frame.
     pub fluxes: Vec<FluxRecord>,
@@ -188,6 +188,8 @@ pub struct FrameRecord {
     pub started: Utc,
     /// Seconds of light.
     pub exposure_s: f64,
+    /// Binning: px and counts of two binnings are two units.
+    pub bin: u32,
     /// Size of the file.
     pub bytes: u64,
     /// All keywords are in the header.
@@ -212,6 +214,13 @@ pub struct FrameRecord {
     pub off_target_arcmin: Option<f64>,
     /// Airmass in the middle of the exposure.
     pub airmass: Option<f64>,
+}
+
+impl FrameRecord {
+    /// The exposure as it was asked for, so that frames of one exposure are known to be such; `as` saturates.
+    pub(crate) fn exposure_us(&self) -> i64 {
+        (1e6 * self.exposure_s).round() as i64
+    }
 }
 
 /// An alert from when it was raised.
@@ -266,11 +275,13 @@ pub struct FocusRecord {
 /// What guiding measured on a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GuideRecord {
-    /// When.
-    pub at: Utc,
-    /// The object.
+    /// The object that was held.
     pub object: Option<String>,
-    /// How far the field was from its reference, px.
+    /// The camera that guided.
+    pub camera: String,
+    /// Binning of its frame; absent where that is not stored.
+    pub bin: Option<u32>,
+    /// How far the field was from its reference, px of that frame.
     pub off_px: f64,
 }
 

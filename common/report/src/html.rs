@@ -119,7 +119,7 @@ fn targets(page: &mut String, report: &Report) {
     }
     page.push_str(
         "<table><tr><th>object</th><th class=\"n\">asked</th><th class=\"n\">taken</th><th class=\"n\">counted</th>\
-         <th class=\"n\">light</th><th>filter</th><th class=\"n\">FWHM</th><th class=\"n\">sky</th>\
+         <th class=\"n\">light</th><th>filter</th><th>camera</th><th class=\"n\">FWHM</th><th class=\"n\">sky</th>\
          <th class=\"n\">ellipticity</th><th class=\"n\">transparency</th><th class=\"n\">off target</th></tr>\n",
     );
     for target in report.targets.iter().take(MOST_ROWS) {
@@ -132,14 +132,15 @@ fn targets(page: &mut String, report: &Report) {
             hours(target.exposure_s)
         );
         if target.quality.is_empty() {
-            let _ = writeln!(page, "<tr>{first}{}</tr>", "<td></td>".repeat(6));
+            let _ = writeln!(page, "<tr>{first}{}</tr>", "<td></td>".repeat(7));
         }
         for quality in &target.quality {
             let _ = writeln!(
                 page,
-                "<tr>{first}<td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td>\
+                "<tr>{first}<td>{}</td><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td>\
                  <td class=\"n\">{}</td><td class=\"n\">{}</td></tr>",
                 escape(quality.filter.as_deref().unwrap_or("-")),
+                escape(&format!("{}, bin {}, {} s", quality.camera, quality.bin, quality.exposure_s)),
                 value(quality.fwhm_arcsec, 2, "″"),
                 value(quality.sky_adu, 0, " ADU"),
                 value(quality.ellipticity, 2, ""),
@@ -211,9 +212,11 @@ fn instruments(page: &mut String, report: &Report) {
     });
     table(page, "Focus runs", ["began", "camera", "filter", "best position", "outcome"], runs);
     let guiding = report.guiding.iter().map(|guiding| {
-        [guiding.object.clone().unwrap_or_default(), guiding.frames.to_string(), format!("{:.2} px", guiding.rms_px)]
+        let bin = guiding.bin.map_or_else(|| "-".to_owned(), |bin| bin.to_string());
+        let rms = format!("{:.2} px", guiding.rms_px);
+        [guiding.object.clone().unwrap_or_default(), guiding.camera.clone(), bin, guiding.frames.to_string(), rms]
     });
-    table(page, "Guiding", ["object", "frames", "rms"], guiding);
+    table(page, "Guiding", ["object", "guided by", "bin", "frames", "rms"], guiding);
 }
 
 fn rows(page: &mut String, report: &Report) {

@@ -75,7 +75,7 @@ pub struct Report {
     pub orders: Vec<OrderRecord>,
     /// Focus runs.
     pub focus_runs: Vec<FocusRecord>,
-    /// Guiding, by object.
+    /// Guiding, by object, camera and binning.
     pub guiding: Vec<Guiding>,
     /// Frames that do not count, and why.
     pub refused_frames: Vec<RefusedFrame>,

@@ -68,15 +68,21 @@ pub struct Target {
     pub frames_counted: u32,
     /// Light of the frames that count, s.
     pub exposure_s: f64,
-    /// What was measured, by filter.
+    /// What was measured, by filter, camera, binning and exposure.
     pub quality: Vec<Quality>,
 }
 
-/// Medians of the frames of a target in one filter.
+/// Medians of the frames of a target that can be compared: in one filter, of one camera, binning and exposure.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Quality {
     /// The filter.
     pub filter: Option<String>,
+    /// The camera.
+    pub camera: String,
+    /// Its binning.
+    pub bin: u32,
+    /// Light of each frame, s.
+    pub exposure_s: f64,
     /// Frames.
     pub frames: u32,
     /// Frames whose place on the sky was found.
@@ -131,9 +137,13 @@ pub fn targets(events: &NightEvents) -> Vec<Target> {
     let target = |object: &str| {
         let frames = by_object.get(object).cloned().unwrap_or_default();
         let counted = || frames.iter().filter(|frame| frame.refused.is_none());
-        let mut filters: BTreeMap<Option<&str>, Vec<&FrameRecord>> = BTreeMap::new();
+        // Counts of two cameras, binnings or exposures have no median in common.
+        let mut alike: BTreeMap<_, Vec<&FrameRecord>> = BTreeMap::new();
         for frame in &frames {
-            filters.entry(frame.filter.as_deref()).or_default().push(frame);
+            alike
+                .entry((frame.filter.as_deref(), &frame.camera, frame.bin, frame.exposure_us()))
+                .or_default()
+                .push(frame);
         }
         Target {
             object: object.to_owned(),
@@ -141,18 +151,23 @@ pub fn targets(events: &NightEvents) -> Vec<Target> {
             frames_taken: number(frames.len()),
             frames_counted: number(counted().count()),
             exposure_s: counted().map(|frame| frame.exposure_s).sum(),
-            quality: filters.into_iter().map(|(filter, frames)| quality(filter, &frames)).collect(),
+            quality: alike.values().filter_map(|frames| quality(frames)).collect(),
         }
     };
     order.into_iter().map(target).collect()
 }
 
-fn quality(filter: Option<&str>, frames: &[&FrameRecord]) -> Quality {
+/// Of frames that are alike; absent of none.
+fn quality(frames: &[&FrameRecord]) -> Option<Quality> {
+    let first = frames.first()?;
     let middle = |value: fn(&FrameRecord) -> Option<f64>| {
         median(&frames.iter().filter_map(|frame| value(frame)).collect::<Vec<f64>>())
     };
-    Quality {
-        filter: filter.map(str::to_owned),
+    Some(Quality {
+        filter: first.filter.clone(),
+        camera: first.camera.clone(),
+        bin: first.bin,
+        exposure_s: first.exposure_s,
         frames: number(frames.len()),
         frames_solved: number(frames.iter().filter(|frame| frame.is_solved).count()),
         fwhm_arcsec: middle(|frame| Some(frame.fwhm_px? * frame.scale_arcsec_px?)),
@@ -160,7 +175,7 @@ fn quality(filter: Option<&str>, frames: &[&FrameRecord]) -> Quality {
         ellipticity: middle(|frame| frame.ellipticity),
         transparency: middle(|frame| frame.transparency),
         off_target_arcmin: middle(|frame| frame.off_target_arcmin),
-    }
+    })
 }
 
 /// How well a field was held.
@@ -168,25 +183,31 @@ fn quality(filter: Option<&str>, frames: &[&FrameRecord]) -> Quality {
 pub struct Guiding {
     /// OBJECT.
     pub object: Option<String>,
+    /// The camera that guided.
+    pub camera: String,
+    /// Its binning; absent where that is not stored.
+    pub bin: Option<u32>,
     /// Frames that were measured.
     pub frames: u32,
-    /// Root of the mean squared distance from the reference, px.
+    /// Root of the mean squared distance from the reference, px of those frames.
     pub rms_px: f64,
 }
 
-/// The guiding, by object.
+/// The guiding, by object, camera and binning: their px are different units.
 pub fn guiding(events: &NightEvents) -> Vec<Guiding> {
-    let mut sums: BTreeMap<Option<&str>, (u32, f64)> = BTreeMap::new();
+    let mut sums: BTreeMap<_, (u32, f64)> = BTreeMap::new();
     for record in events.guiding.iter().filter(|record| record.off_px.is_finite()) {
-        let sum = sums.entry(record.object.as_deref()).or_default();
+        let sum = sums.entry((&record.object, &record.camera, record.bin)).or_default();
         *sum = (sum.0 + 1, sum.1 + record.off_px.powi(2));
     }
-    let of = |(object, (frames, sum)): (Option<&str>, (u32, f64))| Guiding {
-        object: object.map(str::to_owned),
+    let held = sums.into_iter().map(|((object, camera, bin), (frames, sum))| Guiding {
+        object: object.clone(),
+        camera: camera.clone(),
+        bin,
         frames,
         rms_px: (sum / f64::from(frames)).sqrt(),
-    };
-    sums.into_iter().map(of).collect()
+    });
+    held.collect()
 }
 
 /// A frame that does not count, or of which not all is known.

@@ -58,6 +58,7 @@ fn frame(id: u32, started_s: f64) -> FrameRecord {
         filter: Some("V".to_owned()),
         started: at(started_s),
         exposure_s: 60.0,
+        bin: 1,
         is_complete: true,
         is_solved: true,
         fwhm_px: Some(3.0),

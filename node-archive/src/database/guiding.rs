@@ -25,7 +25,7 @@ CREATE INDEX IF NOT EXISTS guiding_date ON guiding (datetime);
 
 /// SQL for the guided frames that show how well a telescope was held while others were exposed. `$spans` is a table of
 /// these: `frame_id`, `telescope`, `camera_name`, and stamps of when they begin and end (`begins`, `ends`). The result has
-/// their `frame_id`, and of each guided frame `guide_id`, `shift_x` and `shift_y`.
+/// their `frame_id`, and of each guided frame `guide_id`, `camera`, `shift_x` and `shift_y`.
 ///
 /// Those count that were in the middle of their own exposures then and whose stars were measured; a reference itself was
 /// guided by nothing. Pixels of two cameras are two units, so only one camera counts: the frame's own where it is guided
@@ -34,7 +34,7 @@ macro_rules! holding {
     ($spans:literal) => {
         // SQLite keeps the order of a cross join, and looks for the times in their index.
         concat!(
-            "SELECT frame_id, guide_id, shift_x, shift_y FROM (
+            "SELECT frame_id, guide_id, camera, shift_x, shift_y FROM (
                 SELECT *, rank() OVER (PARTITION BY frame_id ORDER BY is_own DESC, of_camera DESC, camera DESC) AS place FROM (
                     SELECT spans.frame_id, guiding.frame_id AS guide_id, guiding.camera_name AS camera,
                         guiding.camera_name = spans.camera_name AS is_own, shift_x, shift_y,

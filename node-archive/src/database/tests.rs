@@ -89,7 +89,10 @@ async fn a_reading_counts_once_and_keeps_its_type() {
     assert_eq!((&around.before[0].value, &around.after[0].value), (&Scalar::Float(2.0), &Scalar::Float(1e-7)));
     assert_eq!((around.before.len(), around.after.len(), &around.after[1].value), (1, 2, &Scalar::Int(3)));
     let polls = reader.polls(&device(), "Altitude", (at(1), at(2))).unwrap();
-    assert_eq!(polls.iter().map(|poll| poll.at).collect::<Vec<_>>(), [at(1), at(2)]);
+    let times: Vec<Utc> = polls.iter().map(|(at, _)| *at).collect();
+    assert_eq!(times, [at(0), at(1), at(2), at(3)], "with the one before and the one behind");
+    let polls = reader.polls(&device(), "Altitude", (at(6), at(6))).unwrap();
+    assert!(matches!(polls[..], [(_, Some(_)), (_, None)]), "it was received, with no value: {polls:?}");
     let around = reader.around(&device(), "Altitude", at(6)).unwrap();
     assert!(around.after.is_empty() && around.received_since, "it was received, with no value");
     assert!(!reader.around(&device(), "Altitude", at(7)).unwrap().received_since);

@@ -21,7 +21,7 @@ use super::manifest::ManifestFile;
 use super::record::{DeliveryTurn, Record, set_of, take_turn};
 use super::selection::Wanted;
 use super::verify::verify;
-use crate::folder::{PART_FOLDER, is_here, is_taken, without_links};
+use crate::folder::{all_here, is_taken, without_links};
 use crate::night::{Night, NightFrame};
 use crate::reader::Reader;
 
@@ -100,7 +100,8 @@ pub async fn remove(config: &Observatory, night: &Night, database: &Path) -> any
     };
     let paths = frames.iter().filter(is_own).map(|frame| frame.image.path(&config.folders.images));
     let folders: BTreeSet<PathBuf> = paths.filter_map(|path| path.parent().map(Path::to_owned)).collect();
-    all_here(&config.folders.images, &folders)?;
+    let are_here = || all_here(&config.folders.images, folders.iter().map(PathBuf::as_path));
+    are_here()?;
     for frame in &frames {
         // A kill between the two names leaves the other one.
         let path = frame.image.path(&config.folders.images);
@@ -144,22 +145,11 @@ pub async fn remove(config: &Observatory, night: &Night, database: &Path) -> any
         hidden.remove(&mut removed)?;
     }
     // The disk may have gone meanwhile.
-    all_here(&config.folders.images, &folders)?;
+    are_here()?;
     // What stays now stays: no destination asks for it, or its header has changed. The night is not read again for it.
     let set = set_of(frames.iter().map(|frame| &frame.image.frame.id));
     Record::read(config, REMOVALS, night)?.removed(&set)?;
     Ok(removed)
-}
-
-/// Proves that the folder of images and these folders in it are there.
-fn all_here(images: &Path, folders: &BTreeSet<PathBuf>) -> anyhow::Result<()> {
-    let own = (!is_here(images)).then(|| images.join(PART_FOLDER));
-    let Some(away) = own.or_else(|| folders.iter().find(|folder| !folder.is_dir()).cloned()) else { return Ok(()) };
-    bail!(
-        "the folder {} is not there: its disk may be away. Mount it; if somebody removed the folder or moved it elsewhere, make \
-         an empty one of this name, and the night counts as removed",
-        away.display()
-    )
 }
 
 /// A frame whose file may go; absent where it stays.

@@ -39,8 +39,8 @@ const GIVE_NAMES: &str = "sh -c 'IFS= read -r f; cd -- \"$f\" || exit 1; while I
      if ln -- \"$p\" \"$n\" 2>/dev/null; then rm -f -- \"$p\"; echo named; \
      elif [ -e \"$n\" ] || [ -L \"$n\" ]; then echo \"taken $n\"; \
      elif mv -n -- \"$p\" \"$n\" && [ ! -e \"$p\" ]; then echo named; fi; rmdir -- \"${p%/*}\" 2>/dev/null; done; exit 0'";
-/// An id of the running system, on Linux.
-const BOOT_ID: &str = "/proc/sys/kernel/random/boot_id";
+/// Prints [`node::kernel_boot_id`] of the other side.
+const THEIR_BOOT_ID: &str = "cat /proc/sys/kernel/random/boot_id";
 const REMOVE: &str = "sh -c 'IFS= read -r f; cd -- \"$f\" && while IFS= read -r n; do rm -f -- \"$n\"; done'";
 
 /// A folder that rsync reaches.
@@ -101,9 +101,9 @@ impl Rsync {
             return Ok(is_this_machine(host.trim_matches(['[', ']'])));
         };
         // An alias of ssh may lead anywhere; a machine that runs has an id of its own.
-        let own = fs::read_to_string(BOOT_ID).unwrap_or_default();
-        let done = self.shell(host, folder, &format!("cat {BOOT_ID}"), &[], 0).await?;
-        let is_same = !own.trim().is_empty() && String::from_utf8_lossy(&done.stdout).contains(own.trim());
+        let own = node::kernel_boot_id();
+        let done = self.shell(host, folder, THEIR_BOOT_ID, &[], 0).await?;
+        let is_same = !own.is_empty() && String::from_utf8_lossy(&done.stdout).contains(&own);
         Ok(is_same || is_this_machine(host.rsplit_once('@').map_or(host, |(_, host)| host)))
     }
 

@@ -341,6 +341,31 @@ async fn a_night_whose_disk_is_away_is_not_one_whose_files_have_left() {
     assert_eq!((removed.files, removed.staying, left().await), (1, 0, 0));
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_night_whose_disk_is_away_is_not_exported_as_one_without_files() {
+    let site = Site::with_folder();
+    site.store(&[(1, "light"), (2, "light")], true).await;
+    let (out, away) = (site.path("out"), site.path("away"));
+    let export = || {
+        let (config, night, out) = (site.config.clone(), site.night(), out.clone());
+        let export = move || crate::export::export(&config, &config.archive.database, &night, &out, at(90_000));
+        tokio::task::spawn_blocking(export)
+    };
+    let images = &site.config.folders.images;
+    fs::rename(images, &away).unwrap();
+    for (made, missing) in [(None, ".part"), (Some(images.join(PART_FOLDER)), "20261121")] {
+        made.map_or(Ok(()), fs::create_dir_all).unwrap();
+        let why = format!("{:#}", export().await.unwrap().unwrap_err());
+        assert!(why.contains(missing) && why.contains("its disk may be away"), "{why}");
+        assert_eq!(fs::read_dir(&out).unwrap().count(), 0, "the same folder takes it later");
+    }
+    fs::remove_dir_all(images).unwrap();
+    fs::rename(&away, images).unwrap();
+    fs::remove_file(site.image("20261121/f2.fits")).unwrap();
+    let exported = export().await.unwrap().unwrap();
+    assert_eq!((exported.frames, exported.gone), (1, vec!["20261121/f2.fits".to_owned()]));
+}
+
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_of_images_that_has_moved_is_exported_delivered_and_removed_where_it_is() {

@@ -65,3 +65,30 @@ fn no_link_below_the_folder_of_images_is_followed() {
     std::os::unix::fs::symlink(folder.path().join("nowhere"), images.join("real/b.fits")).unwrap();
     assert!(is_taken(&images.join("real/b.fits")) && !images.join("real/b.fits").exists());
 }
+
+#[test]
+fn a_file_that_is_not_there_was_removed_only_where_its_disk_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let images = folder.path().join("images");
+    let (night, file) = (images.join("20261121"), images.join("20261121/a.fits"));
+    let away = |missing: &str| {
+        let why = is_stored(&images, &file).unwrap_err().to_string();
+        assert!(why.contains(missing) && why.contains("its disk may be away. Mount it"), "{why}");
+    };
+    // Nothing, then a mount point, then what an archive makes that is started meanwhile.
+    away(".part");
+    fs::create_dir(&images).unwrap();
+    away(".part");
+    assert!(put(&images, &images.join("reports/a.html"), b"").is_err() && is_bare(&images), "nothing is written there");
+    fs::create_dir(images.join(PART_FOLDER)).unwrap();
+    away("20261121");
+    fs::create_dir(&night).unwrap();
+    assert!(!is_stored(&images, &file).unwrap());
+    fs::write(&file, "").unwrap();
+    assert!(is_stored(&images, &file).unwrap());
+    put(&images, &images.join("reports/a.html"), b"").unwrap();
+    // What cannot be looked at is not known to be removed.
+    fs::remove_dir_all(&night).unwrap();
+    fs::write(&night, "no folder").unwrap();
+    assert!(is_stored(&images, &file).is_err());
+}

@@ -10,6 +10,7 @@ use report::events::Doing;
 
 use super::*;
 use crate::database::{StoredState, Write};
+use crate::folder::PART_FOLDER;
 
 fn config(folder: &Path) -> Observatory {
     let mut config = config::parse(test_support::PARANAL, folder).unwrap();
@@ -40,7 +41,7 @@ fn closed(ended: bool, from: f64, to: f64, state: Option<&str>) -> Vec<Write> {
 
 async fn archive(folder: &Path, writes: Vec<Write>) -> (Observatory, PathBuf) {
     let (config, path) = (config(folder), folder.join("archive.db"));
-    std::fs::create_dir_all(&config.folders.images).unwrap();
+    std::fs::create_dir_all(config.folders.images.join(PART_FOLDER)).unwrap();
     let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
     database.commit(writes).await.unwrap();
     drop(database);

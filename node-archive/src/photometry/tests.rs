@@ -147,6 +147,7 @@ fn a_transit_of_known_depth_has_this_depth_in_the_light_curve() {
             row: None,
             started: frame.started_utc,
             exposure_s: 60.0,
+            bin: frame.bin,
             bytes: 0,
             is_complete: true,
             refused: None,

@@ -1,5 +1,7 @@
 //! Everything that is stored of a night, for its report.
 
+use std::collections::HashSet;
+
 use contract::observatory::{FocusRun, RowState};
 use report::events::{
     AlertRecord, Doing, FluxRecord, FocusRecord, FrameRecord, GuideRecord, Held, NightEvents, OrderRecord, RowChange,
@@ -9,7 +11,7 @@ use rusqlite::{Row, params};
 use serde::de::DeserializeOwned;
 use units::Utc;
 
-use super::{Reader, Unreadable, json, time};
+use super::{GuidedFrame, Reader, Unreadable, json, time};
 use crate::database::{DatabaseError, stamp};
 use crate::night::{Night, NightFrame};
 
@@ -17,11 +19,12 @@ impl Reader {
     /// Everything that is stored of a night until `now`.
     pub fn night_events(&self, night: &Night, now: Utc) -> Result<NightEvents, DatabaseError> {
         let mut unreadable = Unreadable::new();
-        let frames = self.readable_frames((night.from, night.to), &mut unreadable)?.iter().map(frame).collect();
+        let frames = self.readable_frames((night.from, night.to), &mut unreadable)?;
         let _snapshot = self.snapshot()?;
         let mut events = NightEvents::new(night.from, night.to, now);
         events.night = night.date.to_string();
-        events.frames = frames;
+        events.frames = frames.iter().map(frame).collect();
+        events.guiding = self.guide_records(&frames)?;
         events.doings = self.held("night", night, &mut unreadable)?;
         events.verdicts = self.held("safety", night, &mut unreadable)?;
         events.schedules = self.held("schedule", night, &mut unreadable)?;
@@ -49,15 +52,6 @@ impl Reader {
         let sql = "SELECT date_obs, run, outcome FROM focus_runs
                    WHERE date_obs >= ?1 AND date_obs < ?2 AND telescope IN (?3, '') ORDER BY date_obs";
         events.focus = self.readable(("the focus run of", sql), of, &mut unreadable, focus_run)?;
-        events.guiding = self.list(
-            "SELECT datetime, object, shift_x, shift_y FROM guiding WHERE datetime >= ?1 AND datetime < ?2
-             AND telescope = ?3 AND stage = 'guide' AND shift_x IS NOT NULL AND shift_y IS NOT NULL ORDER BY datetime",
-            of,
-            |row| {
-                let (x, y): (f64, f64) = (row.get(2)?, row.get(3)?);
-                Ok(GuideRecord { at: time(row, 0)?, object: row.get(1)?, off_px: x.hypot(y) })
-            },
-        )?;
         events.fluxes = self.list(
             "SELECT frame_id, series, star, x_px, y_px, flux_adu, error_adu, saturated
              FROM images JOIN fluxes USING (frame_id)
@@ -78,6 +72,20 @@ impl Reader {
         )?;
         events.unreadable = unreadable.into_iter().map(|(what, error)| format!("{what}: {error}")).collect();
         Ok(events)
+    }
+
+    /// The guided frames that held the targets of these, each once for an object: two cameras may have exposed meanwhile.
+    fn guide_records(&self, frames: &[NightFrame]) -> Result<Vec<GuideRecord>, DatabaseError> {
+        let (mut known, mut records) = (HashSet::new(), Vec::new());
+        for frame in frames.iter().map(|frame| &frame.image.frame).filter(|frame| frame.purpose.action == "object") {
+            for GuidedFrame { id, camera, bin, off_px } in self.guided_frames(&self.telescope, frame)? {
+                let object = frame.purpose.object.clone();
+                if known.insert((object.clone(), id)) {
+                    records.push(GuideRecord { object, camera, bin, off_px });
+                }
+            }
+        }
+        Ok(records)
     }
 
     /// The newest state of the observatory node that can be read, of those that began before an instant; absent where none
@@ -213,6 +221,7 @@ fn frame(night: &NightFrame) -> FrameRecord {
         row: purpose.row,
         started: frame.started_utc,
         exposure_s: frame.exposure_s,
+        bin: frame.bin,
         bytes: image.bytes,
         is_complete: *is_complete,
         refused: facts.and_then(|facts| facts.refused.clone()),

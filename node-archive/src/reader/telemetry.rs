@@ -43,11 +43,22 @@ impl Reader {
         Ok(Around { before, after, received_since, rest: Rest::default() })
     }
 
-    /// The values of a property in a time, in its order.
-    pub fn polls(&self, device: &Device, property: &str, (from, to): (Utc, Utc)) -> Result<Vec<Sample>, DatabaseError> {
+    /// The polls of a property in a time, in its order, each with its value where it had one; with the last value before
+    /// and the first poll behind.
+    pub fn polls(
+        &self,
+        device: &Device,
+        property: &str,
+        (from, to): (Utc, Utc),
+    ) -> Result<Vec<(Utc, Option<Scalar>)>, DatabaseError> {
         let Some(series) = self.series_of(device, property)? else { return Ok(Vec::new()) };
-        let condition = "at_us >= ?2 AND at_us <= ?3 AND value_type <> 0 AND value IS NOT NULL ORDER BY at_us";
-        self.samples(condition, params![series, from.micros(), to.micros()])
+        let sql = "SELECT at_us, value_type, value FROM samples WHERE series = ?1
+            AND at_us >= ifnull((SELECT max(at_us) FROM samples
+                WHERE series = ?1 AND at_us < ?2 AND value_type <> 0 AND value IS NOT NULL), ?2)
+            AND at_us <= ifnull((SELECT min(at_us) FROM samples WHERE series = ?1 AND at_us > ?3), ?3) ORDER BY at_us";
+        self.list(sql, params![series, from.micros(), to.micros()], |row| {
+            Ok((Utc::from_micros(row.get(0)?), scalar(row, 1, 2)?))
+        })
     }
 
     /// The number of the series of a device's property.

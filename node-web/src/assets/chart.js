@@ -209,7 +209,7 @@ export function Chart({ panels, t0, t1, unsafe, marks, now, onAt, label, plain =
   const over = () => place.current.querySelector(".u-over")?.getBoundingClientRect() ?? { left: 0, width: 1 };
   const timeOf = (clientX) => { const { left, width } = over(); return view.t0 + ((clientX - left) / width) * (view.t1 - view.t0); };
   const follow = useRef((_) => {});
-  const view = useTimeView(place, t0, t1, { timeOf, at: () => at.peek(), onAt: () => {}, onPick: (t) => { pick.value = Math.max(t0, Math.min(t1, t)); follow.current(pick.value); } });
+  const view = useTimeView(place, t0, t1, { own: plain, timeOf, at: () => at.peek(), onAt: () => {}, onPick: (t) => { pick.value = Math.max(t0, Math.min(t1, t)); follow.current(pick.value); } });
   const shown = useRef([t0, t1]);
   shown.current = [view.t0, view.t1];
   useEffect(() => {

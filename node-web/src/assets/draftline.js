@@ -61,7 +61,7 @@ export function DraftLine({ rows, marked, inForce, plan, site, now, chosen, onCh
   const moment = !placed.length || placed.some((one) => one.start < tonight[1] && one.end > tonight[0]) ? now : Math.min(...placed.map((one) => one.start));
   const [from, to] = nightSpan(site, moment, mine);
   const timeOf = (clientX) => view.t0 + ((clientX - place.current.getBoundingClientRect().left - left) / (W - left - 4)) * (view.t1 - view.t0);
-  const view = useTimeView(place, from, to, { timeOf, at: () => hover.peek(), onAt: (t) => { hover.value = t >= from && t <= to ? t : null; }, onPick: (t) => { hover.value = t >= from && t <= to ? t : null; }, first: innerWidth < 640 ? [moment - HOUR, moment + 5 * HOUR] : null });
+  const view = useTimeView(place, from, to, { timeOf, at: () => hover.peek(), onAt: (t) => { hover.value = t >= from && t <= to ? t : null; }, onPick: (t) => { hover.value = t >= from && t <= to ? t : null; }, own: true, first: innerWidth < 640 ? [moment - HOUR, moment + 5 * HOUR] : null });
   const { t0, t1 } = view;
   const X = (t) => left + ((t - t0) / (t1 - t0)) * (W - left - 4);
   const chart = small ? 84 : 112;

@@ -1,11 +1,19 @@
 // The past of published properties, from the archive, with a choice of how far back.
-import { html, useMemo, useSignal } from "./lib.js";
+import { html, useMemo } from "./lib.js";
 import { useGet } from "./api.js";
 import { Chart, pointsOf } from "./chart.js";
 import { Card, Empty, Loaded, Segment } from "./parts.js";
+import { go, route, withQuery } from "./route.js";
 import { moment, skyNow, skySpeed } from "./store.js";
 
 export const SPANS = [[1, "1 h"], [6, "6 h"], [24, "24 h"], [72, "3 d"]];
+
+/** How far back a page looks, h, of `spans`, and what chooses it: it stands in the address. What was shown of the hours before is shown no more. */
+export function hoursBack(spans, usual) {
+  const asked = Number(route.value.query.get("hours"));
+  const choose = (hours) => go(withQuery({ hours: hours === usual ? null : String(hours), from: null, to: null }), { replace: true });
+  return /** @type {const} */ ([spans.some(([one]) => one === asked) ? asked : usual, choose]);
+}
 
 /** The words for so many hours. */
 export const spanWords = (hours) => SPANS.find(([one]) => one === hours)[1];
@@ -38,9 +46,9 @@ export function useHistory(id, properties, hours, points = 400, everyS = 30) {
 }
 
 export function History({ id, properties, title, unit, limits }) {
-  const hours = useSignal(6);
-  const past = useHistory(id, properties, hours.value);
-  return html`<${Card} name=${`${title}, the past`} end=${html`<${Segment} label="How far back" options=${SPANS} value=${hours.value} onChange=${(value) => { hours.value = value; }} />`}>
+  const [hours, choose] = hoursBack(SPANS, 6);
+  const past = useHistory(id, properties, hours);
+  return html`<${Card} name=${`${title}, the past`} end=${html`<${Segment} label="How far back" options=${SPANS} value=${hours} onChange=${choose} />`}>
     <${Loaded} of=${past} what="The past">${() => {
       const series = properties.map((property) => past.series(property)).filter(Boolean);
       if (!series.length) return html`<${Empty} icon="curve" title="The archive has no values of this time" />`;

@@ -4,7 +4,7 @@ import { useReport } from "./api.js";
 import { altaz, moon, ofDate, twilight } from "./astro.js";
 import { clock, hourMinute, number } from "./format.js";
 import { inputWords } from "./inputs.js";
-import { Old, answeredAt, standing } from "./parts.js";
+import { Old, SIGNS, answeredAt, priorityNumber, standing } from "./parts.js";
 import { siteOf, tonight } from "./site.js";
 import { net, useTopic } from "./store.js";
 import { TimeTools, useTimeView } from "./timeview.js";
@@ -185,7 +185,7 @@ export function Night({ rows = [], plan = [], report = null, verdicts = [], unti
   const ahead = plan.flatMap((row) => (row.runs_utc ?? []).filter(([, end]) => utc(end) > now).map(([a, b]) => ({ from: Math.max(now, utc(a)), to: utc(b), cls: "b-next", texts: [words(row.object ?? row.action)], title: `forecast: ${row.action} ${row.object ?? ""} ${hourMinute(a)} to ${hourMinute(b)}` })));
   const judged = verdicts.map((one) => ({ from: utc(one.from_utc), to: one.until_utc ? utc(one.until_utc) : Math.max(utc(one.from_utc), Math.min(until ?? now, now)), safe: one.verdict === "safe", cls: "b-stop", texts: ["unsafe"], title: `${one.verdict}${one.reasons?.length ? `: ${one.reasons.join("; ")}` : ""}` }));
   if (verdicts.length && until !== null && until < now) judged.push({ from: until, to: now, safe: false, cls: "b-gone", texts: ["not known"], title: `not known since ${hourMinute(until)}` });
-  const marks = [...(report?.focus_runs ?? []).map((one) => [utc(one.started_utc), "F", "focus run"]), ...(report?.alerts ?? []).filter((one) => ["critical", "high", "medium"].includes(one.priority)).map((one) => [utc(one.raised_utc), { critical: "▲", high: "◆", medium: "▼" }[one.priority], one.cause ?? one.id])].filter(([t]) => t >= t0 && t <= t1);
+  const marks = [...(report?.focus_runs ?? []).map((one) => [utc(one.started_utc), "F", "focus run"]), ...(report?.alerts ?? []).filter((one) => ["critical", "high", "medium"].includes(one.priority)).map((one) => [utc(one.raised_utc), SIGNS[priorityNumber(one.priority) - 1], one.cause ?? one.id])].filter(([t]) => t >= t0 && t <= t1);
   const covers = (list) => { const found = list.find((one) => at >= one.from && at <= one.to); return found && (found.title ?? found.texts?.[0]); };
   const what = at === null ? "" : [covers(blocks) ?? covers(ahead) ?? done.find((piece) => at >= utc(piece.from_utc) && at <= utc(piece.to_utc))?.kind ?? covers(planned), covers(judged.filter((one) => !one.safe))].filter(Boolean).join(" · ");
   return html`<div class="tl look" tabindex="0" role="group" aria-label=${`${label}; arrow keys move the cursor, plus and minus zoom, 0 shows all`} onKeyDown=${view.press}><div ref=${place} class="touch" data-testid="timeline" data-from=${Math.round(t0)} data-to=${Math.round(t1)}>

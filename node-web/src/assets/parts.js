@@ -6,6 +6,8 @@ import { link, quality, skyNow, skySpeed, tick } from "./store.js";
 
 export const Icon = ({ name, cls = "" }) => html`<svg class=${`i ${cls}`} aria-hidden="true"><use href=${`#i-${name}`} /></svg>`;
 export const Shape = ({ n }) => html`<svg class="sh" aria-hidden="true"><use href=${`#sh${n}`} /></svg>`;
+/** The same shapes as letters, in the order of `PRIORITIES`, for where nothing is drawn. */
+export const SIGNS = ["▲", "◆", "▼", "●"];
 
 /** Priorities of alerts in their order, each with its number and its word. */
 export const PRIORITIES = ["critical", "high", "medium", "advisory"];

@@ -4,7 +4,7 @@ import { CloseButton, Closing } from "./close.js";
 import { clock, day, duration, nightDay } from "./format.js";
 import { inputWords } from "./inputs.js";
 import { choose, theme } from "./look.js";
-import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, Shape, Simulated, Words, isCalm, postureIcon, realTime, standing, summaryAge, totals, urgency } from "./parts.js";
+import { Age, Counts, Guard, Icon, Mode, Priority, PRIORITIES, SIGNS, Shape, Simulated, Words, isCalm, postureIcon, realTime, standing, summaryAge, totals, urgency } from "./parts.js";
 import { route } from "./route.js";
 import { nightsOf } from "./site.js";
 import { fault, link, lostAt, net, roundTrip, skyNow, skySpeed, tick, version } from "./store.js";
@@ -12,8 +12,6 @@ import { leave, me } from "./user.js";
 
 const NETWORK_PAGES = [["network", "/", "Network", "network"], ["alerts", "/alerts", "Alerts", "bell"], ["weather", "/weather", "Weather", "cloud"], ["frames", "/frames", "Frames", "image"],
   ["report", "/report", "Night report", "report"], ["log", "/log", "Log", "log"], ["nodes", "/nodes", "Nodes", "nodes"], ["audit", "/audit", "Audit", "hand"], ["settings", "/settings", "Settings", "lock"]];
-/** The shapes of the priorities that call for somebody tonight, for the title of the window. */
-const SHAPES = ["▲", "◆", "▼"];
 const TELESCOPE_PAGES = [["now", "Now"], ["guiding", "Guiding"], ["focus", "Focus"], ["lightcurve", "Light curve"], ["schedule", "Schedule"], ["frames", "Frames"], ["weather", "Weather"], ["devices", "Devices"],
   ["report", "Report"], ["controls", "Controls"], ["log", "Log"], ["audit", "Audit"]];
 
@@ -90,7 +88,7 @@ function Top({ title }) {
 /** `night of 20 Nov`, named by its evening. */
 const nightName = (nights) => `night of ${nights.map((night) => nightDay(night).split(" ").slice(1).join(" ")).join(" / ")}`;
 
-/** The worst that needs somebody, of all telescopes: what the bar at the top says, and whose Close it has; null while it says that there is no link. */
+/** The worst that needs somebody, of all telescopes: what the bar says, and whose Close it has; null while it says that there is no link. */
 export function worst() {
   let found = null;
   if (link.value === "lost") return found;
@@ -112,13 +110,13 @@ export function alarm(summary, now) {
 
 function Banner() {
   tick.value; // eslint-disable-line no-unused-expressions
+  const open = me.value?.insecure_open && html`<div class="banner p2 open" role="alert"><${Priority} word="high" /><p class="grow"><b>This server is open to everybody.</b> <span class="m">Whoever reaches it may order everything. Make users: <code>starmesh user add</code>.</span></p></div>`;
   if (link.value === "lost") {
-    return html`<div class="banner lost" role="alert" data-testid="link-lost"><span class="pri off">No link</span><p class="grow"><b>No link to the server${lostAt.value ? ` since ${skyNow() - lostAt.value > 12 * 3600e3 ? `${day(lostAt.value)} ` : ""}${clock(lostAt.value)}` : ""}.</b>
+    return html`${open}<div class="banner lost" role="alert" data-testid="link-lost"><span class="pri off">No link</span><p class="grow"><b>No link to the server${lostAt.value ? ` since ${skyNow() - lostAt.value > 12 * 3600e3 ? `${day(lostAt.value)} ` : ""}${clock(lostAt.value)}` : ""}.</b>
       <span class="m"> What you see is old. Trying again … ${fault.value} A close order goes out only when the link is back.</span></p></div>`;
   }
   const found = worst();
-  return html`${me.value?.insecure_open && html`<div class="banner p2" role="alert"><${Priority} word="high" /><p class="grow"><b>This server is open to everybody.</b> <span class="m">Whoever reaches it may order everything. Make users: <code>starmesh user add</code>.</span></p></div>`}
-    ${found && html`<div class=${`banner ${found.rank === 2 ? "p2" : ""}`} role="alert" data-testid="banner"><${Priority} word=${PRIORITIES[found.rank - 1]} />
+  return html`${open}${found && html`<div class=${`banner ${found.rank === 2 ? "p2" : ""}`} role="alert" data-testid="banner"><${Priority} word=${PRIORITIES[found.rank - 1]} />
       <p class="grow call"><a href=${`/t/${found.summary.id}`}><b>${found.summary.telescope_id}: ${found.alert?.cause ?? alarm(found.summary, found.now)}</b></a> <span class="m desk">${found.alert?.consequence ?? ""}</span></p>
       <span class="end"><a class="btn sm soft" href="/alerts">What to do</a>${!found.summary.shared && route.value.id !== found.summary.id && html`<${CloseButton} id=${found.summary.id} sm named />`}</span></div>`}`;
 }
@@ -163,7 +161,10 @@ export function Shell({ title, children }) {
     document.body.dataset.link = link.value;
     const sums = totals([...net.value.values()]);
     const highest = PRIORITIES.slice(0, 3).find((word) => sums[word] > 0);
-    document.title = `${link.value === "lost" ? "NO LINK – " : ""}${highest ? `${SHAPES[PRIORITIES.indexOf(highest)]}${sums[highest]} ` : ""}${title} – Starmesh`;
+    document.title = `${link.value === "lost" ? "NO LINK – " : ""}${highest ? `${SIGNS[PRIORITIES.indexOf(highest)]}${sums[highest]} ` : ""}${title} – Starmesh`;
+    // Each is a file of its own, since the security policy takes no picture that is made here.
+    const [icon, href] = [document.querySelector('link[rel="icon"]'), `/assets/favicon${highest ? `-${highest}` : ""}.svg`];
+    if (icon?.getAttribute("href") !== href) icon?.setAttribute("href", href);
   });
   return html`<${Guard} name="navigation"><${Rail} /><//>
     <div class="col"><${Guard} name="clock and link"><${Top} title=${title} /><//><${Guard} name="banner"><${Banner} /><//>

@@ -1,28 +1,60 @@
 // Looking around in time, the same on the timeline and on every chart: dragged sideways, zoomed by two fingers, by the wheel with Ctrl (or with
 // the focus there) and by keys, with buttons for those who do none of it; and from any moment to the log lines of that minute.
-import { html, useEffect, useRef, useSignal } from "./lib.js";
+import { effect, html, signal, useEffect, useRef, useSignal } from "./lib.js";
 import { clockOn } from "./format.js";
 import { Icon } from "./parts.js";
-import { route } from "./route.js";
+import { go, route, withQuery } from "./route.js";
 
 const STEP = 1.6;
 /** A pointer that moved less was a touch, not a drag, px. */
 const STILL_PX = 5;
+/** A view that has not moved for so long stands in the address, ms: browsers take only so many changes of it. */
+const REST_MS = 300;
+
+/** The part of the time that the charts of this page show, ms: null is all of it, undefined what each begins with. The address has it in whole seconds. */
+const chosen = signal(undefined);
+let named = "";
+let naming = 0;
+
+effect(() => {
+  const asked = ["from", "to"].map((name) => route.value.query.get(name));
+  const name = [location.pathname, ...asked].join();
+  if (name === named) return;
+  named = name;
+  clearTimeout(naming);
+  const [from, to] = asked.map((utc) => Date.parse(utc));
+  chosen.value = to > from ? [from, to] : undefined;
+});
+
+function choose(view) {
+  chosen.value = view;
+  clearTimeout(naming);
+  naming = setTimeout(() => {
+    const [from = null, to = null] = (view ?? []).map((t) => `${new Date(t).toISOString().slice(0, 19)}Z`);
+    named = [location.pathname, from, to].join();
+    go(withQuery({ from, to }), { replace: true });
+  }, REST_MS);
+}
 
 /**
  * A part of the time from `from` to `to` (ms). `timeOf(clientX)` gives the time below a pointer; `onAt(ms)` is told the moment
- * below the mouse or of the keys, `onPick(ms)` the one that was touched or that keys chose.
+ * below the mouse or of the keys, `onPick(ms)` the one that was touched or that keys chose. All views of a page are one, which stands in its address, but for those that are `own`.
  * Gives `{ t0, t1, zoomed, zoom(factor, around), move(ms), whole(), press }`: `press` is for keys of the element that is looked at.
  */
-export function useTimeView(place, from, to, { timeOf, at, onAt, onPick, first = null, least = 60e3 }) {
-  const view = useSignal(first);
+export function useTimeView(place, from, to, { timeOf, at, onAt, onPick, first = null, least = 60e3, own = false }) {
+  const mine = useSignal(first);
+  const begin = useRef(first);
   const latest = useRef(null);
-  const [t0, t1] = view.value ? inside(view.value, from, to) : [from, to];
+  const view = own ? mine.value : chosen.value === undefined ? begin.current : chosen.value;
+  const set = own ? (next) => { mine.value = next; } : choose;
+  // An address may name a time that is no longer here.
+  const part = view && view[0] < to && view[1] > from ? inside(view, from, to) : null;
+  const [t0, t1] = part ?? [from, to];
   const show = (a, b) => {
     const span = Math.min(to - from, Math.max(least, b - a));
     const middle = (a + b) / 2;
-    const chosen = inside([middle - span / 2, middle + span / 2], from, to);
-    view.value = chosen[1] - chosen[0] >= to - from ? null : chosen;
+    const next = inside([middle - span / 2, middle + span / 2], from, to);
+    set(next[1] - next[0] >= to - from ? null : next);
   };
   const zoom = (factor, around = at() ?? (t0 + t1) / 2) => {
     const point = Math.max(t0, Math.min(t1, around));
@@ -30,8 +62,8 @@ export function useTimeView(place, from, to, { timeOf, at, onAt, onPick, first =
     const start = point - ((point - t0) / (t1 - t0)) * span;
     show(start, start + span);
   };
-  const move = (ms) => { if (view.peek()) show(t0 + ms, t1 + ms); };
-  const whole = () => { view.value = null; };
+  const move = (ms) => { if (part) show(t0 + ms, t1 + ms); };
+  const whole = () => set(null);
   latest.current = { t0, t1, zoom, show, timeOf, onAt, onPick };
 
   useEffect(() => {
@@ -103,7 +135,7 @@ export function useTimeView(place, from, to, { timeOf, at, onAt, onPick, first =
     else return;
     event.preventDefault();
   };
-  return { t0, t1, zoomed: view.value !== null, zoom, move, whole, press };
+  return { t0, t1, zoomed: part !== null, zoom, move, whole, press };
 }
 
 const apart = (fingers) => { const [a, b] = [...fingers.values()]; return b === undefined ? 0 : Math.abs(a - b); };

@@ -8,14 +8,21 @@ export const me = signal(null);
 /** The rights from the least to the greatest, each of which contains those before it. */
 export const RIGHTS = { viewer: "reads everything but secrets", observer: "also closes, and writes drafts", operator: "also opens, starts, puts schedules in force, answers alerts", engineer: "also overrides limits, reads the audit; of all telescopes: changes users, ends sessions of others" };
 
-/** Has this person a right at a telescope, `site/telescope`? Until the server has said who it is, yes: it refuses what must not be. */
-export function may(right, id) {
-  const words = Object.keys(RIGHTS);
-  return !me.value || (me.value.rights ?? []).some((grant) => {
-    const [word, where = "*"] = String(grant).split(":");
-    return words.indexOf(word) >= words.indexOf(right) && (where === "*" || where === id || (where.endsWith("/*") && id.startsWith(where.slice(0, -1))));
-  });
+/** The text of a grant, whatever the server gave. */
+export const grantText = (grant) => (typeof grant === "string" ? grant : JSON.stringify(grant) ?? "");
+
+/** The right and the telescopes of a grant such as `operator:paranal/*`; no telescopes are all of them. */
+export const split = (grant) => { const [right, where = ""] = grantText(grant).split(":"); return { right, where }; };
+
+/** Does one of these grants give all that this one does? */
+export function isWithin(grant, grants) {
+  const wanted = split(grant);
+  const rank = ({ right }) => Object.keys(RIGHTS).indexOf(right);
+  return grants.map(split).some((own) => rank(own) >= rank(wanted) && (own.where === "" || own.where === wanted.where || (own.where.endsWith("/*") && wanted.where.startsWith(own.where.slice(0, -1)))));
 }
+
+/** Has this person a right at a telescope, `site/telescope`? Until the server has said who it is, yes: it refuses what must not be. */
+export const may = (right, id) => !me.value || isWithin(`${right}:${id}`, me.value.rights ?? []);
 
 /** May this person change users? */
 export const isEngineer = () => (me.value?.rights ?? []).includes("engineer");

@@ -126,36 +126,54 @@ export function Viewer({ tiles, width, height, stretch, zoom, layers, wcs, targe
   }, []);
 
   const at = (event) => {
+    // What is painted fills the box, also where that has another size since.
     const box = canvas.current.getBoundingClientRect();
-    const now = frameOfView.peek();
-    return [now.x + (event.clientX - box.left) / now.scale, now.y + (event.clientY - box.top) / now.scale];
+    const { x, y, scale, w, h } = frameOfView.peek();
+    return [x + ((event.clientX - box.left) * w) / box.width / scale, y + ((event.clientY - box.top) * h) / box.height / scale];
   };
+  const latest = useRef(tiles);
+  latest.current = tiles;
   const read = async (x, y) => {
     const [px, py] = [Math.floor(x), Math.floor(y)];
     if (px < 0 || py < 0 || px >= width || py >= height) { under.value = null; return; }
-    under.value = { px, py, sky: skyOf(wcs, px, py), counts: under.peek()?.counts };
+    const before = under.peek();
+    // Until its own number is there it has none: that of another pixel would be wrong.
+    under.value = { px, py, sky: skyOf(wcs, px, py), counts: before?.px === px && before.py === py ? before.counts : undefined };
     const tile = await tiles.get(tiles.highest ?? 0, Math.floor(px / TILE), Math.floor(py / TILE)).catch(() => null);
-    if (tile && under.peek()?.px === px && under.peek()?.py === py) under.value = { ...under.peek(), counts: tiles.counts(tile.values[(py % TILE) * tile.width + (px % TILE)]) };
+    if (tile && latest.current === tiles && under.peek()?.px === px && under.peek()?.py === py) under.value = { ...under.peek(), counts: tiles.counts(tile.values[(py % TILE) * tile.width + (px % TILE)]) };
   };
+  // Another frame has another number there.
+  useEffect(() => {
+    const before = under.peek();
+    under.value = null;
+    if (before) read(before.px, before.py);
+  }, [tiles, wcs]);
   const drag = useRef(null);
   const handlers = {
-    onPointerDown: (event) => { drag.current = { x: event.clientX, y: event.clientY, cx: view.current.cx, cy: view.current.cy }; event.currentTarget.setPointerCapture?.(event.pointerId); },
+    onPointerDown: (event) => { read(...at(event)); drag.current = { x: event.clientX, y: event.clientY, cx: view.current.cx, cy: view.current.cy }; event.currentTarget.setPointerCapture?.(event.pointerId); },
     onPointerMove: (event) => {
       if (drag.current) {
         const { scale } = frameOfView.peek();
         view.current.cx = drag.current.cx - (event.clientX - drag.current.x) / scale;
         view.current.cy = drag.current.cy - (event.clientY - drag.current.y) / scale;
         repaint();
+        // The pixel under the pointer is dragged with it.
+        return;
       }
       read(...at(event));
     },
     onPointerUp: () => { drag.current = null; },
     onWheel: (event) => {
       event.preventDefault();
-      const [x, y] = at(event);
-      const before = frameOfView.peek().scale;
-      const after = Math.min(16, Math.max(before * 2 ** (-event.deltaY / 300), Math.min(frameOfView.peek().w / width, frameOfView.peek().h / height)));
-      Object.assign(view.current, { scale: after, cx: x - ((x - view.current.cx) * before) / after, cy: y - ((y - view.current.cy) * before) / after });
+      // Several turns may come before the next paint: each goes on from what the one before made of the view.
+      const box = canvas.current.getBoundingClientRect();
+      const fit = Math.min(box.width / width, box.height / height);
+      const { cx, cy, scale } = view.current;
+      const before = scale || fit;
+      const after = Math.min(16, Math.max(before * 2 ** (-event.deltaY / 300), fit));
+      // What is under the pointer stays there.
+      const [dx, dy] = [event.clientX - box.left - box.width / 2, event.clientY - box.top - box.height / 2].map((px) => px / before - px / after);
+      Object.assign(view.current, { scale: after, cx: cx + dx, cy: cy + dy });
       repaint();
     },
     onKeyDown: (event) => {

@@ -20,8 +20,9 @@ macro_rules! assets {
 
 /// Path and content of each asset.
 const ASSETS: &[(&str, &[u8])] = assets! {
-    "activity.js" "api.js" "app.js" "astro.js" "changes.js" "chart.js" "close.js" "corrections.js" "devicelist.js"
-    "devices.js" "draft.js" "draftline.js" "editor.js" "elapsed.js" "favicon.svg" "forecast.js" "form.js" "format.js" "history.js"
+    "activity.js" "api.js" "app.js" "astro.js" "cameback.js" "changes.js" "chart.js" "close.js" "corrections.js" "devicelist.js"
+    "devices.js" "draft.js" "draftline.js" "editor.js" "elapsed.js" "favicon-critical.svg" "favicon-high.svg" "favicon-medium.svg" "favicon.svg"
+    "forecast.js" "form.js" "format.js" "history.js"
     "image.js" "inputs.js" "lib.js" "live.css" "login.js" "look.js" "manifest.webmanifest" "night.js" "numbers.js"
     "pages.js" "parts.js" "picture.js" "pixels.js" "plane.js" "push.js" "route.js" "row.js" "rowtext.js"
     "service-worker.js" "shell.js" "site.js" "sky.js" "starmesh.css" "store.js" "templates.js" "theme.js" "timeview.js"

@@ -129,6 +129,8 @@ impl Site {
         let text = format!("{PARANAL}[web]\nlisten = \"127.0.0.1:0\"\n");
         std::fs::write(folder.path().join("observatory.toml"), &text).unwrap();
         let config = config::parse(&text, folder.path()).unwrap();
+        // The disk of the frames is there.
+        std::fs::create_dir_all(config.folders.images.join(".part")).unwrap();
         let alerts = NodeAlerts::new(Clock::machine_clock());
         let (database, writer) = Database::open(&config.archive.database, "callisto", alerts).unwrap();
         database.commit(frames()).await.unwrap();

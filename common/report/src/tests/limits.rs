@@ -165,9 +165,67 @@ fn a_curve_has_five_frames_and_only_frames_that_count() {
 }
 
 #[test]
+fn no_figure_is_a_mean_of_two_cameras_binnings_or_exposures() {
+    let mut events = photometry(8);
+    let other = |id: u32, camera: &str, bin, exposure_s, sky_adu| FrameRecord {
+        camera: camera.to_owned(),
+        bin,
+        exposure_s,
+        sky_adu: Some(sky_adu),
+        ..frame(id, 60.0 * f64::from(id))
+    };
+    events.frames.push(other(100, "second", 1, 60.0, 9000.0));
+    events.frames.push(other(101, "andor", 2, 60.0, 1200.0));
+    events.frames.push(other(102, "andor", 1, 10.0, 50.0));
+    let guided = |camera: &str, bin, off_px| GuideRecord {
+        object: Some("WASP-12".to_owned()),
+        camera: camera.to_owned(),
+        bin,
+        off_px,
+    };
+    events.guiding = vec![
+        guided("guider", Some(1), 3.0),
+        guided("andor", Some(1), 4.0),
+        guided("guider", Some(1), 4.0),
+        guided("andor", Some(2), 2.0),
+        guided("guider", None, 0.5),
+    ];
+    let report = make(&events);
+    let of_sky = |of: &summary::Quality| (of.camera.clone(), of.bin, of.exposure_s, of.sky_adu);
+    let sky: Vec<_> = report.targets[0].quality.iter().map(of_sky).collect();
+    let expected = [
+        ("andor", 1, 10.0, Some(50.0)),
+        ("andor", 1, 60.0, Some(300.0)),
+        ("andor", 2, 60.0, Some(1200.0)),
+        ("second", 1, 60.0, Some(9000.0)),
+    ];
+    assert_eq!(sky, expected.map(|(camera, bin, exposure_s, sky)| (camera.to_owned(), bin, exposure_s, sky)));
+    let held: Vec<_> = report.guiding.iter().map(|of| (&*of.camera, of.bin, of.frames, of.rms_px)).collect();
+    let expected = [
+        ("andor", Some(1), 1, 4.0),
+        ("andor", Some(2), 1, 2.0),
+        ("guider", None, 1, 0.5),
+        ("guider", Some(1), 2, 12.5_f64.sqrt()),
+    ];
+    assert_eq!(held, expected);
+    // A series of another exposure or binning lacks nothing of this one.
+    assert_eq!((report.curves[0].points.len(), report.curves[0].frames_left_out), (8, 0));
+    let page = html::page(&report);
+    assert!(page.contains("second, bin 1, 60 s") && page.contains("guider"), "{page}");
+}
+
+#[test]
+fn a_width_without_a_scale_is_no_point_of_a_curve_in_arcsec() {
+    let mut events = photometry(8);
+    events.frames[3].scale_arcsec_px = None;
+    let widths: Vec<_> = make(&events).curves[0].points.iter().map(|point| point.fwhm_arcsec).collect();
+    assert_eq!((widths[2], widths[3], widths[4]), (Some(1.5), None, Some(1.5)));
+}
+
+#[test]
 fn values_that_are_no_numbers_are_left_out_of_guiding_and_of_the_page() {
     let mut events = clear();
-    let guide = |off_px| GuideRecord { at: at(2000.0), object: None, off_px };
+    let guide = |off_px| GuideRecord { object: None, camera: "andor".to_owned(), bin: None, off_px };
     events.guiding = vec![guide(3.0), guide(f64::NAN), guide(f64::INFINITY), guide(4.0)];
     for frame in &mut events.frames {
         frame.fwhm_px = Some(f64::NAN);

@@ -65,6 +65,8 @@ async fn every_question_about_a_night_is_answered_for_one_telescope() {
     let config = config(folder.path());
     database(&config).await;
     add_io(&config).await;
+    // The disk is there, and the files have left.
+    fs::create_dir_all(config.folders.images.join(crate::folder::PART_FOLDER)).unwrap();
     let of_night = Night::at(at(40_000), &config.place);
     let alerts = golden::<Alerts>("alerts").alerts.iter().filter(|alert| alert.returned_utc.is_none()).count();
     for (config, first) in [(config.clone(), 0), (of_io(&config), OTHER)] {

@@ -65,5 +65,19 @@ async fn an_order_completes_a_night_again_with_telemetry_that_came_late() {
     assert!(!notes().contains("ALTITUDE"), "{}", notes());
     let again = recv_stored(&stored, true).await;
     assert_eq!(again.frame.0, "frame-1");
+
+    // The disk goes away, and another order comes while this one waits for it.
+    let (images, away) = (folder.path().join("images"), folder.path().join("away"));
+    std::fs::rename(&images, &away).unwrap();
+    nights.put(night(order("d", "complete_headers", Some(date(started))))).await.unwrap();
+    let alerts = running.node.alerts.watch();
+    let active = |words: &str| {
+        alerts.borrow().alerts.iter().any(|alert| alert.cause.contains(words) && alert.returned_utc.is_none())
+    };
+    until("the alert names the folder", || active("images/.part is not there: its disk may be away. Mount it")).await;
+    nights.put(night(order("e", "close", None))).await.unwrap();
+    std::fs::rename(&away, &images).unwrap();
+    assert_eq!(recv_stored(&stored, true).await.frame.0, "frame-1", "it goes on when the disk is back");
+    until("the alert is over", || !active("its disk may be away")).await;
     running.stop().await;
 }

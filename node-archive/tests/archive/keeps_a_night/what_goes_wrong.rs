@@ -45,6 +45,35 @@ async fn two_spools_that_dribble_do_not_stop_a_third() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn an_archive_that_starts_while_its_disk_is_away_writes_nothing_into_the_place_of_the_disk() {
+    let folder = tempfile::tempdir().unwrap();
+    let (images, away) = (folder.path().join("images"), folder.path().join("away"));
+    let (device_bus, archive_bus) = two_buses().await;
+    let spool = Spool::start(device_bus.clone()).await;
+    let stored = spool.bus.subscribe::<Stored>(&Key::Stored(address()).to_string(), Catch::All, 100).await.unwrap();
+    let running = run(archive(folder.path(), archive_bus));
+    spool.frames.put(spool.frame("frame-1", device_bus.clock().utc())).await.unwrap();
+    recv_stored(&stored, false).await;
+    running.stop().await;
+    std::fs::rename(&images, &away).unwrap();
+    std::fs::create_dir(&images).unwrap();
+    let running = run(archive(folder.path(), join(&device_bus).await));
+    let alerts = running.node.alerts.watch();
+    until("the alert", || {
+        let is_away = "is missing or empty: its disk may be away. Mount it";
+        alerts.borrow().alerts.iter().any(|alert| alert.cause.contains(is_away))
+    })
+    .await;
+    assert_eq!(std::fs::read_dir(&images).unwrap().count(), 0);
+    running.stop().await;
+    // A person says that the folder is a new one.
+    std::fs::create_dir(images.join(".part")).unwrap();
+    let running = run(archive(folder.path(), join(&device_bus).await));
+    until("it is taken", || images.join(".part/paranal-callisto.lock").exists()).await;
+    running.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn frames_that_an_older_database_does_not_know_are_recorded_from_their_files() {
     let folder = tempfile::tempdir().unwrap();
     let (images, database) = (folder.path().join("images"), folder.path().join("data/archive.db"));

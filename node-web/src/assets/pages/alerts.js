@@ -1,6 +1,7 @@
 // Every active alert, the most urgent first: cause, consequence, what to do, and since when.
 import { html, useSignal } from "../lib.js";
 import { command } from "../api.js";
+import { CameBack } from "../cameback.js";
 import { CloseButton, note } from "../close.js";
 import { clock, duration } from "../format.js";
 import { Card, Counts, Dialog, Empty, Guard, Priority, PRIORITIES, Segment, fate, isCalm, priorityNumber } from "../parts.js";
@@ -50,7 +51,7 @@ function Alert({ alert }) {
   const [answers, offline] = [may("operator", alert.telescope), link.value !== "live"];
   return html`<article class=${`alert p${n} ${calm ? "calm" : ""}`} data-testid="alert" data-alert=${alert.id} data-priority=${alert.priority}><div><${Priority} word=${alert.priority} off=${calm} /></div>
     <div class="body"><div class="t">${kindWords(alert.id)}</div><div class="w"><a href=${`/t/${alert.telescope}`}>${alert.telescope}</a> <span class="mono mm">${alert.id}</span></div>
-      ${calm ? html`<div class="m">${alert.cause} ${fate(alert)}.</div>` : html`<dl><dt>Cause</dt><dd>${alert.cause}</dd><dt>Consequence</dt><dd>${alert.consequence}</dd><dt>Do</dt><dd><b>${alert.action}</b></dd></dl>`}</div>
+      ${calm ? html`<div class="m">${alert.cause} ${fate(alert)}.</div>` : html`<dl><dt>Cause</dt><dd>${alert.cause}</dd><dt>Consequence</dt><dd>${alert.consequence}</dd><dt>Do</dt><dd><b>${alert.action}</b></dd></dl>`}<${CameBack} alert=${alert} id=${alert.telescope} /></div>
     <div class="due">raised ${since(alert.raised_utc)}</div>
     <div class="row wrap go">${n <= 2 && !calm && telescope && !telescope.shared && html`<${CloseButton} id=${alert.telescope} filled=${n === 1} cls=${worst()?.summary.id === alert.telescope ? "desk" : ""} />`}
       ${answers && !alert.acknowledged_by && html`<button type="button" class="btn soft" disabled=${offline} onClick=${() => order(alert.telescope, "ack", { alert: alert.id }, "")}>Acknowledge</button>`}

@@ -1,9 +1,9 @@
 // One device: every property with its value and age, what it can do, its last command, and its past hours.
-import { html, useSignal } from "../lib.js";
+import { html } from "../lib.js";
 import { devicesOf, known, stateWords, values } from "../devices.js";
 import { clock, duration, field, plain } from "../format.js";
 import { Age, Card, Empty, Icon, Stat, Table, realTime } from "../parts.js";
-import { route } from "../route.js";
+import { go, route, withQuery } from "../route.js";
 import { quality, skySpeed, tick, useTopic } from "../store.js";
 import { Devices } from "../devicelist.js";
 import { History } from "../history.js";
@@ -26,7 +26,7 @@ export function DevicePage({ id }) {
   tick.value; // eslint-disable-line no-unused-expressions
   const states = useTopic(`tel/${id}`);
   const [kind, name] = route.value.rest;
-  const chosen = useSignal(null);
+  const chosen = route.value.query.get("history");
   if (!kind) return html`<${Devices} id=${id} states=${states} />`;
   const device = devicesOf(states).find((one) => one.kind === kind && one.name === name);
   if (!device) return html`<${Empty} icon="plug" title=${`No device ${kind}/${name}`}>Nothing of it was received. <a href=${`/t/${id}/devices`}>All devices</a><//>`;
@@ -37,7 +37,7 @@ export function DevicePage({ id }) {
       ${device.lost && html`<div class="note p2"><div class="grow"><b>The device has not answered for ${duration(device.silent)}${realTime()}.</b> Its node asks again by itself. <details><summary>What its driver was told</summary>${plain(device.body.link.reason)}</details></div></div>`}
       ${device.about && html`<p class="m">${[device.about.device_name, device.about.driver, device.about.server && `${device.about.server} number ${device.about.number}`, `interface ${device.about.interface_version}`, device.about.simulated && "simulated"].filter(Boolean).join(" · ")}</p>`}
       ${last && html`<p class="m">Last command: <b>${last.verb}</b> by ${last.from} at ${clock(last.taken_utc)}, ${last.outcome?.is}${last.outcome?.reason ? ` (${last.outcome.reason})` : ""}</p>`}<//>
-    ${chosen.value && html`<${History} id=${id} properties=${[`${kind}/${name}/${chosen.value}`]} title=${chosen.value} />`}
-    <div class="grid g-side"><${Readings} device=${device} chosen=${chosen.value} onChoose=${(property) => { chosen.value = property; }} />
+    ${chosen && html`<${History} id=${id} properties=${[`${kind}/${name}/${chosen}`]} title=${chosen} />`}
+    <div class="grid g-side"><${Readings} device=${device} chosen=${chosen} onChoose=${(property) => go(withQuery({ history: property }), { replace: true })} />
       <${Card} name="What it can do">${can.length ? html`<dl class="vals2">${can.map(([what, value]) => html`<div class="row between" key=${what}><dt class="m">${field(what, null)[0]}</dt><dd>${field(what, value)[1]}</dd></div>`)}</dl>` : html`<p class="m">It has published no capabilities.</p>`}<//></div>`;
 }

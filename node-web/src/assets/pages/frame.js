@@ -2,7 +2,7 @@
 import { html, useEffect, useRef, useSignal } from "../lib.js";
 import { Failure, useGet } from "../api.js";
 import { bytes, clock, declination, number, plain, rightAscension } from "../format.js";
-import { Card, Icon, Loaded, Segment, Stat } from "../parts.js";
+import { Card, Icon, Loaded, Old, Segment, Stat } from "../parts.js";
 import { CURVES, Tiles, automatic, histogram } from "../pixels.js";
 import { go, route } from "../route.js";
 import { Viewer } from "../viewer.js";
@@ -70,6 +70,7 @@ function useKey(key, action) {
   }, [key]);
 }
 
+/** What comes late has its place beforehand, over the picture or below it: the frame stays where somebody points at it. */
 function Pixels({ id, frame, before }) {
   const found = useGet(`/api/v1/telescopes/${id}/frames/${encodeURIComponent(frame.id)}/tiles/0/0/0`, 0, { read: () => readWhole(id, frame.id) });
   const missing = useMissing();
@@ -92,22 +93,24 @@ function Pixels({ id, frame, before }) {
   return html`<section class="stack"><div class="card flush"><div class="row wrap bar-of-tools"><${Segment} label="Stretch" options=${Object.keys(CURVES).map((curve) => [curve, curve])} value=${stretch.value.curve} onChange=${(curve) => change({ curve })} /><${Segment} label="Zoom" options=${[["fit", "Fit"], ["1", "1:1"], ["4", "4:1"]]} value=${zoom.value} onChange=${(value) => { zoom.value = value; }} />
       <span class="row"><button class="chip" aria-pressed=${String(layers.value.has("grid"))} disabled=${!facts?.wcs} onClick=${toggle("grid")}><${Icon} name="grid" />Grid</button><button class="chip" aria-pressed=${String(layers.value.has("target"))} disabled=${!facts?.wcs} onClick=${toggle("target")}><${Icon} name="guide" />Centre</button>
         <button class="chip" aria-pressed=${String(stretch.value.invert)} onClick=${() => change({ invert: !stretch.peek().invert })}>Invert</button>
-        ${before && html`<button class="chip" aria-pressed=${String(blinks.value)} aria-keyshortcuts="b" onClick=${blink}>Blink with previous</button>`}</span>
-      ${blinks.value && html`<span class="m" role="status">${shown === tiles ? other.error?.message ?? "reading the previous frame …" : "the previous frame"}</span>`}${!facts?.wcs && html`<span class="m" data-testid="no-wcs">No grid and no places: ${facts ? facts.reason ?? "the frame is not solved" : "it is not measured yet"}.</span>`}</div>
-      ${missing.error && html`<p class="note p3" data-testid="missing-tiles"><span class="grow"><b>Some pixels cannot be read.</b> ${missing.error.message}</span><button type="button" class="btn sm soft" onClick=${missing.retry}>Try again</button></p>`}
-      <${Viewer} tiles=${shown} width=${frame.width_px} height=${frame.height_px} stretch=${stretch.value} zoom=${zoom.value} layers=${layers.value} wcs=${shown === tiles ? facts?.wcs : null} target=${frame.ra_deg != null ? [frame.ra_deg, frame.dec_deg] : null} again=${missing.again} onRead=${missing.onRead} /></div>
+        <button class="chip" disabled=${!before} aria-pressed=${String(blinks.value)} aria-keyshortcuts="b" onClick=${blink}>Blink with previous</button></span></div>
+      <div class="pixels"><${Viewer} tiles=${shown} width=${frame.width_px} height=${frame.height_px} stretch=${stretch.value} zoom=${zoom.value} layers=${layers.value} wcs=${shown === tiles ? facts?.wcs : null} target=${frame.ra_deg != null ? [frame.ra_deg, frame.dec_deg] : null} again=${missing.again} onRead=${missing.onRead} />
+        ${missing.error && html`<p class="note p3" data-testid="missing-tiles"><span class="grow"><b>Some pixels cannot be read.</b> ${missing.error.message}</span><button type="button" class="btn sm soft" onClick=${missing.retry}>Try again</button></p>`}</div>
+      ${(blinks.value || !facts?.wcs) && html`<p class="m pad">${blinks.value && html`<span role="status">${shown === tiles ? other.error?.message ?? "reading the previous frame …" : "the previous frame"}</span> `}${!facts?.wcs && html`<span data-testid="no-wcs">No grid and no places: ${facts ? facts.reason ?? "the frame is not solved" : "it is not measured yet"}.</span>`}</p>`}</div>
     <${Card} name="Stretch" end=${html`<button type="button" class="btn sm quiet" onClick=${() => change(automatic(whole, tiles.blank))}>Auto</button>`}><${Histogram} tile=${whole} stretch=${stretch.value} onChange=${change} tiles=${tiles} /><//></section>`;
 }
 
-function Measured({ frame }) {
+function Measured({ frame, of }) {
   const facts = frame.facts ?? {};
   const value = (v, digits) => (v === null || v === undefined ? null : number(v, digits));
-  return html`<${Card} name="Measured" end=${facts.measuring_s != null ? `in ${number(facts.measuring_s, 2)} s` : null}><div class="stats three">
+  return html`<${Card} name="Measured" end=${html`<${Old} of=${of} />${facts.measuring_s != null && `in ${number(facts.measuring_s, 2)} s`}`}><div class="stats three">
     <${Stat} name="FWHM" value=${value(facts.fwhm_px, 2)} unit="px" sub=${frame.fwhm_arcsec != null ? `${number(frame.fwhm_arcsec, 2)}″` : null} /><${Stat} name="Ellipticity" value=${value(facts.ellipticity, 2)} level=${facts.trailed ? "p3" : null} sub=${facts.trailed ? "trailed" : null} /><${Stat} name="Stars" value=${facts.stars} sub=${facts.matched != null ? `${facts.matched} matched` : null} />
     <${Stat} name="Sky" value=${value(facts.sky_adu, 0)} unit="ADU" sub=${facts.noise_adu != null ? `noise ${number(facts.noise_adu, 1)}` : null} /><${Stat} name="Zero point" value=${value(facts.zero_point_mag, 2)} unit="mag" sub=${facts.zero_point_error_mag != null ? `± ${number(facts.zero_point_error_mag, 3)}` : null} /><${Stat} name="Transparency" value=${value(facts.transparency, 2)} />
     <${Stat} name="Off target" value=${value(facts.off_target_arcmin, 2)} unit="′" /><${Stat} name="Scale" value=${value(facts.scale_arcsec_px, 3)} unit="″/px" /><${Stat} name="Rotation" value=${value(facts.rotation_deg, 2)} unit="°" /><${Stat} name="Airmass" value=${value(facts.airmass, 2)} /><${Stat} name="Pier side" value=${facts.pier_side} /><${Stat} name="Saturated" value=${facts.saturated_fraction != null ? number(100 * facts.saturated_fraction, 3) : null} unit="%" /><${Stat} name="Target" value=${{ true: "saturated", false: "not saturated" }[facts.target_saturated]} /></div>
     ${facts.ra_deg != null && html`<p class="m">Centre <b>${rightAscension(facts.ra_deg)} ${declination(facts.dec_deg)}</b></p>`}${facts.reason && html`<p class="note p3">${facts.reason}</p>`}<//>`;
 }
+
+const about = (frame) => `${frame.image_type}, ${frame.filter ?? "no filter"}, ${plain(frame.exposure_s)} s, begun ${clock(frame.at_utc)} UTC, ${frame.camera}`;
 
 export function Frame({ id, summary }) {
   const wanted = route.value.rest[0];
@@ -123,7 +126,7 @@ export function Frame({ id, summary }) {
   const newest = summary?.image;
   const isNewer = newest && newest.frame !== wanted && newest.started_utc > (found.data?.at_utc ?? "");
   const link = (step, name, icon) => html`<button class="btn sm soft" disabled=${!beside(step)} aria-label=${name} onClick=${() => go(`/t/${id}/frames/${encodeURIComponent(beside(step))}`)}><${Icon} name=${icon} /></button>`;
-  return html`<${Loaded} of=${found} what="The frame">${(frame) => html`<div class="page-h">${link(-1, "Previous frame", "left")}${link(1, "Next frame", "chev")}<h2>${frame.object ?? frame.image_type}</h2><span class="m">${frame.image_type}, ${frame.filter ?? "no filter"}, ${plain(frame.exposure_s)} s, begun ${clock(frame.at_utc)} UTC, ${frame.camera}</span>${flaw({ ...frame, ...frame.facts }) && html`<span class="pri p3">▼ ${flaw({ ...frame, ...frame.facts })}</span>`}<span class="grow"></span>
+  return html`<${Loaded} of=${found.data ? { ...found, error: null } : found} what="The frame">${(frame) => html`<div class="page-h frame-h">${link(-1, "Previous frame", "left")}${link(1, "Next frame", "chev")}<h2>${frame.object ?? frame.image_type}</h2><span class="m" title=${about(frame)}>${about(frame)}</span>${flaw({ ...frame, ...frame.facts }) && html`<span class="pri p3">▼ ${flaw({ ...frame, ...frame.facts })}</span>`}<span class="grow"></span>
       ${isNewer && html`<a class="btn soft sm" data-testid="newest" href=${`/t/${id}/frames/${encodeURIComponent(newest.frame)}`}>Newest frame ${clock(newest.started_utc)}</a>`}<a class="btn soft sm" href=${`/api/v1/telescopes/${id}/frames/${encodeURIComponent(frame.id)}/file`} download><${Icon} name="down2" /><span>Download, ${bytes(frame.bytes)}</span></a></div>
-    <div class="grid g-side"><${Pixels} id=${id} frame=${frame} before=${beside(-1) || null} key=${frame.id} /><div class="stack"><${Measured} frame=${frame} /><${Header} id=${id} frame=${frame.id} key=${frame.id} /></div></div><p class="tagline mono">${frame.file}</p>`}<//>`;
+    <div class="grid g-side"><${Pixels} id=${id} frame=${frame} before=${beside(-1) || null} key=${frame.id} /><div class="stack"><${Measured} frame=${frame} of=${found} /><${Header} id=${id} frame=${frame.id} key=${frame.id} /></div></div><p class="tagline mono">${frame.file}</p>`}<//>`;
 }

@@ -63,7 +63,7 @@ function Found({ id, view, data, text }) {
 
 export function Frames({ id }) {
   const { query } = route.value;
-  const view = useSignal("grid");
+  const view = query.get("view") === "list" ? "list" : "grid";
   const text = useSignal("");
   const telescopes = [...net.value.values()].filter((one) => !one.shared);
   const chosen = id ?? query.get("telescope") ?? telescopes[0]?.id;
@@ -76,12 +76,12 @@ export function Frames({ id }) {
   const set = (name) => (event) => go(withQuery({ [name]: event.target.value || null }), { replace: true });
   const night = conditions.get("night") ?? "";
   const beside = (step) => () => go(withQuery({ night: nightOf(Date.parse(`${night.slice(0, 4)}-${night.slice(4, 6)}-${night.slice(6, 8)}T13:00:00Z`) + step * DAY_MS) }));
-  return html`<div class="page-h">${id ? html`<h2>Frames</h2>` : html`<h1 tabindex="-1">Frames</h1>`}<span class="m">${found.data ? `${found.data.rows?.length ?? 0}${found.data.truncated ? " and more" : ""}` : ""} ${night && `of the night of ${nightDay(night)}`}</span><span class="grow"></span>${[["Night before", -1, "left"], ["Night after", 1, "chev"]].map(([word, step, icon]) => html`<button key=${word} class="btn sm soft" aria-label=${word} disabled=${!night} onClick=${beside(step)}><${Icon} name=${icon} /></button>`)}<${Segment} label="View" options=${[["grid", "Grid"], ["list", "List"]]} value=${view.value} onChange=${(value) => { view.value = value; }} /></div>
+  return html`<div class="page-h">${id ? html`<h2>Frames</h2>` : html`<h1 tabindex="-1">Frames</h1>`}<span class="m">${found.data ? `${found.data.rows?.length ?? 0}${found.data.truncated ? " and more" : ""}` : ""} ${night && `of the night of ${nightDay(night)}`}</span><span class="grow"></span>${[["Night before", -1, "left"], ["Night after", 1, "chev"]].map(([word, step, icon]) => html`<button key=${word} class="btn sm soft" aria-label=${word} disabled=${!night} onClick=${beside(step)}><${Icon} name=${icon} /></button>`)}<${Segment} label="View" options=${[["grid", "Grid"], ["list", "List"]]} value=${view} onChange=${(value) => go(withQuery({ view: value === "grid" ? null : value }), { replace: true })} /></div>
     <div class="row wrap chips-x"><label class="in"><${Icon} name="search" /><input type="search" placeholder="Target, file" aria-label="Search frames" onInput=${(event) => { text.value = event.target.value; }} /><kbd>/</kbd></label>
       ${!id && html`<label class="in"><select aria-label="Telescope" onChange=${set("telescope")}>${telescopes.map((one) => html`<option key=${one.id} value=${one.id} selected=${one.id === chosen}>${one.id}</option>`)}</select></label>`}
       <label class="in">Night <input type="date" aria-label="Night, by its evening" value=${night && `${night.slice(0, 4)}-${night.slice(4, 6)}-${night.slice(6)}`} onChange=${(event) => go(withQuery({ night: event.target.value.replaceAll("-", "") || null }), { replace: true })} /></label>
       <label class="in"><select aria-label="Type" onChange=${set("image_type")}>${[["", "Any type"], ["light", "Light"], ["acquisition", "Acquisition"], ["flat", "Flat"], ["dark", "Dark"], ["bias", "Bias"]].map(([value, word]) => html`<option key=${value} value=${value} selected=${(query.get("image_type") ?? "") === value}>${word}</option>`)}</select></label>
       <label class="in"><input placeholder="Exact target" aria-label="Exact target" value=${query.get("object") ?? ""} onChange=${set("object")} /></label><label class="in"><input placeholder="Filter" aria-label="Filter" value=${query.get("filter") ?? ""} onChange=${set("filter")} size="6" /></label>
       <label class="in">FWHM below <input type="number" step="0.1" min="0" aria-label="FWHM below, arcsec" value=${query.get("fwhm_max_arcsec") ?? ""} onChange=${set("fwhm_max_arcsec")} /><span class="u">″</span></label></div>
-    ${chosen ? html`<${Loaded} of=${found} what="The list of frames">${(data) => html`<${Found} id=${chosen} view=${view.value} data=${data} text=${text.value} />`}<//>` : html`<${Empty} icon="image" title="No telescope yet" />`}`;
+    ${chosen ? html`<${Loaded} of=${found} what="The list of frames">${(data) => html`<${Found} id=${chosen} view=${view} data=${data} text=${text.value} />`}<//>` : html`<${Empty} icon="image" title="No telescope yet" />`}`;
 }

@@ -7,11 +7,10 @@ import { Card, Dialog, Empty, Loaded, Segment, Table } from "../parts.js";
 import { choose, density, theme } from "../look.js";
 import { forgetPicture } from "../picture.js";
 import { DeviceAlerts } from "../push.js";
-import { RIGHTS, isEngineer, leave, me } from "../user.js";
+import { RIGHTS, grantText, isEngineer, leave, me, split } from "../user.js";
 import { OwnPassword, Users } from "./users.js";
 
 const WAYS = { session: "by a password in this browser", token: "by a token", proxy: "by the proxy in front of this server", open: "nobody is asked here: only programs of this host reach the page" };
-const grant = (one) => (typeof one === "string" ? one : JSON.stringify(one));
 const date = (utc) => `${day(utc)} ${clock(utc)}`;
 
 function Messages() {
@@ -39,7 +38,7 @@ function You() {
   const changing = useSignal(false);
   if (!who) return html`<${Card} name="You"><p class="m">Asking …</p><//>`;
   return html`<${Card} name="You" end=${who.way === "session" && html`<button class="btn sm soft" onClick=${() => { changing.value = true; }}>Password …</button> <button class="btn sm soft" onClick=${leave}>Log out</button>`} testid="you"><div class="row base wrap"><span class="big">${who.name}</span><span class="m">${WAYS[who.way] ?? who.way}${who.session_ends_utc ? `, until ${date(who.session_ends_utc)} at the latest` : ""}</span></div>
-    <dl class="kv">${(who.rights ?? []).map((one) => { const [right, where] = grant(one).split(":"); return [html`<dt key=${`${one}t`}><b>${right}</b></dt>`, html`<dd key=${`${one}d`}>${where ? `of ${where}` : "of all telescopes"} <span class="m">${RIGHTS[right] ?? ""}</span></dd>`]; })}</dl>
+    <dl class="kv">${(who.rights ?? []).map((one) => { const { right, where } = split(one); return [html`<dt key=${`${one}t`}><b>${right}</b></dt>`, html`<dd key=${`${one}d`}>${where ? `of ${where}` : "of all telescopes"} <span class="m">${RIGHTS[right] ?? ""}</span></dd>`]; })}</dl>
     ${who.insecure_open && html`<p class="note p2"><span class="grow"><b>This server is open to everybody.</b> Make users: <code>starmesh user add</code>.</span></p>`}
     ${changing.value && html`<${OwnPassword} close=${() => { changing.value = false; }} />`}<//>`;
 }
@@ -60,7 +59,7 @@ function Sessions() {
 function NewToken({ close, again }) {
   const made = useSignal(null);
   const problem = useSignal(null);
-  const own = [...new Set((me.value?.rights ?? []).map(grant))];
+  const own = [...new Set((me.value?.rights ?? []).map(grantText))];
   const send = async (event) => {
     event.preventDefault();
     const data = new FormData(event.target);
@@ -86,7 +85,7 @@ function Tokens() {
   const may = me.value?.way === "session" || me.value?.way === "proxy";
   const remove = (one) => { removing.value = null; act(`The token ${one.name} is removed, and refused from now on.`, () => ask(`/api/v1/tokens/${encodeURIComponent(one.name)}`, { method: "DELETE" }), found.again); };
   return html`<${Card} name="Tokens for programs" flush testid="tokens" end=${html`<button class="btn sm soft" disabled=${!may} title=${may ? null : "A token belongs to a user who has logged in."} onClick=${() => { making.value = true; }}>Make a token …</button>`}><${Loaded} of=${found} what="The list of tokens">${({ items = [] }) => (items.length ? html`<${Table} label="Tokens" columns=${[{ key: "n", name: "Token" }, { key: "u", name: "Acts for" }, { key: "r", name: "May" }, { key: "e", name: "Until" }, { key: "x", name: "" }]} rows=${items} keyOf=${(one) => one.name}
-      cells=${(one) => html`<td class="k">${one.name}</td><td>${one.user}</td><td>${one.rights ? one.rights.map(grant).join(", ") : "all that its user may"}</td><td>${date(one.expires_utc)}</td><td class="num"><button class="btn sm soft" onClick=${() => { removing.value = one; }}>Remove …</button></td>`} />` : html`<${Empty} icon="lock" title="No token">${may ? "Make one for a script that reads the API." : "Tokens belong to users; here nobody has logged in."}<//>`)}<//>
+      cells=${(one) => html`<td class="k">${one.name}</td><td>${one.user}</td><td>${one.rights ? one.rights.map(grantText).join(", ") : "all that its user may"}</td><td>${date(one.expires_utc)}</td><td class="num"><button class="btn sm soft" onClick=${() => { removing.value = one; }}>Remove …</button></td>`} />` : html`<${Empty} icon="lock" title="No token">${may ? "Make one for a script that reads the API." : "Tokens belong to users; here nobody has logged in."}<//>`)}<//>
     ${making.value && html`<${NewToken} close=${() => { making.value = false; }} again=${found.again} />`}
     ${removing.value && html`<${Dialog} label="Remove a token" close=${() => { removing.value = null; }}><h2>Remove the token ${removing.value.name}?</h2><p class="m">Whatever uses it is refused from now on.</p><div class="acts"><button type="button" class="btn soft" onClick=${() => { removing.value = null; }}>Cancel</button><button type="button" class="btn main" data-first onClick=${() => remove(removing.value)}>Remove</button></div><//>`}<//>`;
 }

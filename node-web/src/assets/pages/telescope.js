@@ -1,7 +1,6 @@
 // One telescope now: what it does, why, until when, what it waits for; its night, its image, its devices.
 import { html, signal, useEffect, useMemo } from "../lib.js";
 import { Chart, broken } from "../chart.js";
-import { Devices } from "../devicelist.js";
 import { devicesOf, exposure, stateOf, useMissing } from "../devices.js";
 import { clock, duration, hourMinute, number, plain } from "../format.js";
 import { arrived, Picture } from "../image.js";
@@ -48,10 +47,10 @@ function Holds({ list, sky, open }) {
 }
 
 /** One alert: what to do while it stands, and what became of it once nobody is called for it. */
-function AlertNote({ alert }) {
+function AlertNote({ id, alert }) {
   const calm = isCalm(alert);
   return html`<div class=${`note ${calm ? "" : `p${Math.min(3, priorityNumber(alert.priority))}`}`} data-testid="alert" data-alert=${alert.id}><${Priority} word=${alert.priority} off=${calm} /><div class="grow">
-    ${calm ? html`<span class="m">${alert.cause} ${fate(alert)}.</span>` : html`<b>${alert.cause}</b> ${alert.consequence} <em>${alert.action}</em><span class="m"> since ${clock(alert.raised_utc)}</span>`}</div></div>`;
+    ${calm ? html`<span class="m">${alert.cause} ${fate(alert)}.</span>` : html`<b>${alert.cause}</b> ${alert.consequence} <em>${alert.action}</em><span class="m"> since ${clock(alert.raised_utc)}</span>`}<${Late} part="cameback" alert=${alert} id=${id} /></div></div>`;
 }
 
 function Doing({ id, summary, states }) {
@@ -75,7 +74,7 @@ function Doing({ id, summary, states }) {
       ${light && html`<div class="light"><div class="row between"><span class="m">this frame</span><span><b>${number(light.passed, 0)}</b> <span class="m">of ${plain(light.total)} s</span></span></div><div class="bar lg lit"><i style=${{ width: `${(light.part * 100).toFixed(1)}%` }}></i></div></div>`}</div>
     <div class="grid g3"><div><div class="tagline">Why</div><div>${why}</div></div><div><div class="tagline">Until</div><div>${until}</div></div><div><div class="tagline">Waits for</div><div>${waits}</div></div></div>
     ${list.length > 0 && html`<${Holds} list=${list} sky=${sky} open=${now.posture !== "closed"} />`}
-    ${(summary.alerts ?? []).map((alert) => html`<${AlertNote} key=${alert.id} alert=${alert} />`)}
+    ${(summary.alerts ?? []).map((alert) => html`<${AlertNote} key=${alert.id} id=${id} alert=${alert} />`)}
     ${(summary.unreadable ?? []).map((odd) => html`<div key=${odd.key} class="note p2" data-unreadable=${odd.key}><div class="grow"><b>${odd.key} cannot be read.</b> ${odd.why}</div></div>`)}</section>`;
 }
 
@@ -186,7 +185,7 @@ function Sky({ id, states, site }) {
 }
 
 /** Parts that come after the page: it is there before they are. */
-const LATE = { webcams: async () => (await import("../webcams.js")).Webcams, sky: async () => (await import("../sky.js")).SkyMap };
+const LATE = { webcams: async () => (await import("../webcams.js")).Webcams, sky: async () => (await import("../sky.js")).SkyMap, devices: async () => (await import("../devicelist.js")).Devices, cameback: async () => (await import("../cameback.js")).CameBack };
 /** @type {any} Those that have come. */
 const come = signal({});
 
@@ -202,11 +201,11 @@ export function Telescope({ id, summary }) {
   tick.value; // eslint-disable-line no-unused-expressions
   const states = useTopic(`tel/${id}`);
   const site = siteOf(summary);
-  if (summary.shared) return html`<${Devices} id=${id} states=${states} />`;
+  if (summary.shared) return html`<${Late} part="devices" id=${id} states=${states} />`;
   return html`<${Doing} id=${id} summary=${summary} states=${states} />
     <${NightCard} id=${id} summary=${summary} states=${states} site=${site} />
     <div class="grid g3"><${Image} id=${id} summary=${summary} states=${states} /><${Sky} id=${id} states=${states} site=${site} /><div class="stack"><${GuidingCard} id=${id} summary=${summary} states=${states} /><${FocusCard} id=${id} summary=${summary} states=${states} /><${FramesCard} id=${id} summary=${summary} states=${states} /></div></div>
     <${Guard} name="Webcams"><${Late} part="webcams" of=${[{ site: summary.site_id, telescope: summary.telescope_id }]} /><//>
     <div class="grid g-side"><${Verdict} id=${id} summary=${summary} states=${states} /><${Command} id=${id} states=${states} /></div>
-    <${Devices} id=${id} states=${states} />`;
+    <${Late} part="devices" id=${id} states=${states} />`;
 }

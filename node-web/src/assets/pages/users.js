@@ -5,22 +5,14 @@ import { act } from "../close.js";
 import { duration } from "../format.js";
 import { Card, Dialog, Empty, Loaded, Table } from "../parts.js";
 import { net } from "../store.js";
-import { RIGHTS, isEngineer, me } from "../user.js";
+import { RIGHTS, isEngineer, isWithin, me, split } from "../user.js";
 import { HoldButton } from "./controls.js";
 
 const LADDER = Object.keys(RIGHTS);
 const address = (name) => `/api/v1/users/${encodeURIComponent(name)}`;
 const put = (path, body, headers = {}) => ask(path, { method: "PUT", headers: { "Content-Type": "application/json", ...headers }, body: JSON.stringify(body) });
-/** The right and the telescopes of a grant such as `operator:paranal/*`; no telescopes are all of them. */
-const split = (grant) => { const [right, where = ""] = grant.split(":"); return { right, where }; };
 const joined = ({ right, where }) => (where ? `${right}:${where}` : right);
 const inWords = (where) => (where === "" ? "all telescopes" : where.endsWith("/*") ? `all of ${where.slice(0, -2)}` : where);
-
-/** Does one of these grants give all that this one does? */
-const isWithin = (grant, grants) => {
-  const wanted = split(grant);
-  return grants.map(split).some((own) => LADDER.indexOf(own.right) >= LADDER.indexOf(wanted.right) && (own.where === "" || own.where === wanted.where || (own.where.endsWith("/*") && wanted.where.startsWith(own.where.slice(0, -1)))));
-};
 
 /** Grants as rows that are chosen; where nothing but all telescopes is known, there is nothing else to choose. */
 function Rights({ grants }) {

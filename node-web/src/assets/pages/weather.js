@@ -1,9 +1,9 @@
 // Weather and safety: every parameter with its limits in view, every reason with the time it can clear, on one cursor.
-import { html, useSignal } from "../lib.js";
+import { html } from "../lib.js";
 import { Chart, pointsOf } from "../chart.js";
 import { devicesOf, known, stateOf } from "../devices.js";
 import { clock, duration, number } from "../format.js";
-import { SPANS, spanWords, useHistory } from "../history.js";
+import { SPANS, hoursBack, spanWords, useHistory } from "../history.js";
 import { Input, PARAMETERS, inputValue, limitsOf } from "../inputs.js";
 import { Age, Bullet, Card, Empty, Guard, Loaded, Segment, Table, Time, Was, Words, realTime, standing } from "../parts.js";
 import { bySite } from "../shell.js";
@@ -32,14 +32,14 @@ function Reasons({ summary, entry, state }) {
 }
 
 function Station({ id, device, inputs, safety }) {
-  const hours = useSignal(6);
+  const [hours, choose] = hoursBack(SPANS, 6);
   const measured = PARAMETERS.filter(([, name]) => known(device.fields[name]));
   const owner = `${device.site}/${device.telescope}`;
   // All of it stays below 300 kB.
   const points = Math.min(400, Math.floor(2200 / Math.max(1, measured.length)));
-  const past = useHistory(owner, measured.map(([property]) => `${device.kind}/${device.name}/${property}`), hours.value, points);
+  const past = useHistory(owner, measured.map(([property]) => `${device.kind}/${device.name}/${property}`), hours, points);
   const series = (property) => past.series(`${device.kind}/${device.name}/${property}`);
-  return html`<${Card} name=${`${device.name}, now`} flush end=${html`<${Age} s=${device.age} worth=${device.worth} after=" ago" />`} testid="station"><${Table} label="Weather now" columns=${[{ key: "p", name: "Parameter" }, { key: "v", name: "Value", num: true }, { key: "s", name: "On its scale" }, { key: "l", name: "Limit", num: true }, { key: "r", name: `Least and most, ${spanWords(hours.value)}`, num: true, cls: "hidep" }]} rows=${measured} keyOf=${([property]) => property}
+  return html`<${Card} name=${`${device.name}, now`} flush end=${html`<${Age} s=${device.age} worth=${device.worth} after=" ago" />`} testid="station"><${Table} label="Weather now" columns=${[{ key: "p", name: "Parameter" }, { key: "v", name: "Value", num: true }, { key: "s", name: "On its scale" }, { key: "l", name: "Limit", num: true }, { key: "r", name: `Least and most, ${spanWords(hours)}`, num: true, cls: "hidep" }]} rows=${measured} keyOf=${([property]) => property}
       cells=${([property, name, label, unit, scale, digits]) => {
         const value = device.worth === "lost" ? null : device.fields[name];
         const [limit] = limitsOf(inputs, device.name, property);
@@ -50,7 +50,7 @@ function Station({ id, device, inputs, safety }) {
         return html`<td class="k">${label}</td><td class="num"><b class=${over ? "ink-p2" : null} data-value=${value}>${value === null ? "—" : number(value, digits)}</b> ${unit}</td><td><${Bullet} value=${value} from=${scale[0]} to=${scale[1]} limit=${limit?.v} below=${limit?.side === "below"} over=${over} range=${points.length ? [least, most] : null} /></td>
           <td class="num">${limit ? `${limit.side === "below" ? "≥" : "≤"} ${number(limit.v, digits)}` : "—"}</td><td class="num hidep">${points.length ? `${number(least, digits)} … ${number(most, digits)}` : "—"}</td>`;
       }} /><//>
-    <${Card} name="The past" end=${html`<${Segment} label="How far back" options=${SPANS} value=${hours.value} onChange=${(value) => { hours.value = value; }} />`}><${Loaded} of=${past} what="The past">${() => {
+    <${Card} name="The past" end=${html`<${Segment} label="How far back" options=${SPANS} value=${hours} onChange=${choose} />`}><${Loaded} of=${past} what="The past">${() => {
       const panels = measured.filter(([property]) => series(property)?.points.length).map(([property, , label, unit, , digits]) => ({ name: label, unit, digits, height: 110, zero: MEASURED_FROM_ZERO.includes(unit), limits: limitsOf(inputs, device.name, property),
         series: [{ name: "", head: `${label} mean`, points: pointsOf(series(property)), colour: "--s4" }, { name: "most", points: pointsOf(series(property), "max"), colour: "--s1", width: 0.7, quiet: true }, { name: "least", points: pointsOf(series(property), "min"), colour: "--s1", width: 0.7, quiet: true }] }));
       if (!panels.length) return html`<${Empty} icon="cloud" title="The archive has no weather of this time yet" />`;
