@@ -26,6 +26,9 @@ const MOST_ENTRIES: usize = 3000;
 /// Kept at most, whatever dwell is configured, sky time.
 const MOST: Duration = Duration::from_secs(86_400);
 
+/// A disk that takes longer keeps no node from ending.
+const ENDS: Duration = Duration::from_secs(1);
+
 /// The age of readings that were younger than this when they were published is not noted.
 const LEAST_AGE_S: f64 = 0.5;
 
@@ -60,6 +63,13 @@ impl<F: Payload> StatePublisher<F> {
             recorder.keep(self.states.next_seq(), &state);
         }
         self.states.put(state).await
+    }
+
+    /// Ends at a stop in good order: what was published last is recorded.
+    pub async fn end(self) {
+        if let Some(Recorder { file, .. }) = self.recorder {
+            file.end(ENDS).await;
+        }
     }
 }
 

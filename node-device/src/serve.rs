@@ -147,7 +147,7 @@ impl<D: Driver> Serve<D> {
             async move { command_server.answer(command).await }
         };
         let driver = self.driver.clone();
-        let _service = bus.serve(&Key::Command(self.device.clone()), answer).await?;
+        let service = bus.serve(&Key::Command(self.device.clone()), answer).await?;
         // The same phase at every start, a different one for each device.
         let phase = Duration::from_millis(37 * u64::from(self.index));
         let now = Instant::now();
@@ -196,6 +196,9 @@ impl<D: Driver> Serve<D> {
                         let detail = "the node ended; how the command ends is not known".to_owned();
                         lap.account(order, Ended::Failed { detail });
                     }
+                    // Nothing is taken that nobody would do.
+                    drop(service);
+                    lap.states.end().await;
                     return Ok(());
                 }
                 Some(order) = orders.recv() => Turn::Order(order),

@@ -279,7 +279,12 @@ impl SharedParts<'_> {
             return Ok(None);
         }
         let asked = node.config.spool.listen;
-        let listener = TcpListener::bind(asked).await.with_context(|| format!("the spool cannot listen on {asked}"))?;
+        let listener = TcpListener::bind(asked).await.with_context(|| {
+            format!(
+                "spool.listen: the spool cannot listen on {asked}; end the program that has this address, or choose another \
+                 port"
+            )
+        })?;
         let bound = listener.local_addr()?;
         let base = match &node.config.spool.advertise {
             Some(host) if host.contains(':') => format!("http://{host}"),

@@ -8,13 +8,14 @@ use std::collections::BTreeMap;
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::Duration;
 
 use bus::MachineTime;
 use contract::{BootId, Device, Link, Payload};
 use node::Node;
+use node::file_writer::{self, FileWriter};
 use serde::{Deserialize, Serialize};
+use tokio::sync::oneshot;
 
 /// A file of more bytes loses its older half: an hour of a station with all its sensors takes less than that half.
 const MOST_BYTES: u64 = 8 << 20;
@@ -54,7 +55,7 @@ pub struct Source {
 /// The file of one device.
 pub struct StateFile {
     source: Source,
-    lines: SyncSender<Vec<u8>>,
+    lines: FileWriter<Vec<u8>>,
 }
 
 impl StateFile {
@@ -62,10 +63,12 @@ impl StateFile {
     pub async fn open<F: Payload>(path: PathBuf, source: Source, now: MachineTime) -> (Self, Vec<RecordedState<F>>) {
         let (file, of) = (path.clone(), source.clone());
         let since_boot = now.since(MachineTime::from_boot(Duration::ZERO));
-        let reading = tokio::task::spawn_blocking(move || read(&file, &of, since_boot));
+        let (answer, reading) = oneshot::channel();
+        // Not one of the runtime's own threads, whose end a stopping node waits for: a disk may hang for ever.
+        std::thread::spawn(move || drop(answer.send(read::<F>(&file, &of, since_boot))));
         let read = match tokio::time::timeout(READS, reading).await {
             Ok(Ok(read)) => read.map_err(|error| error.to_string()),
-            Ok(Err(died)) => Err(died.to_string()),
+            Ok(Err(_)) => Err("its reader has died".to_owned()),
             Err(_) => Err(format!("the disk did not show it within {} s", READS.as_secs())),
         };
         let earlier = read.unwrap_or_else(|why| {
@@ -81,7 +84,14 @@ impl StateFile {
         let Ok(mut line) = serde_json::to_vec(&(&self.source, state)) else { return };
         line.push(b'\n');
         // Where it finds no room, the gap in the numbers ends the record.
-        let _ = self.lines.try_send(line);
+        self.lines.write(line);
+    }
+
+    /// Waits until the last state is written, for so long at most: a disk may hang for ever.
+    pub async fn end(self, most: Duration) {
+        if !self.lines.end(most).await {
+            tracing::warn!("the disk did not take this node's last states: after its restart, a dwell may run");
+        }
     }
 }
 
@@ -92,22 +102,16 @@ pub fn path(node: &Node, device: &Device) -> PathBuf {
 }
 
 /// The way to the thread that writes.
-fn write_to(path: PathBuf) -> SyncSender<Vec<u8>> {
-    let (lines, to_write) = sync_channel::<Vec<u8>>(WAITING);
-    std::thread::spawn(move || {
-        // What fails here fails for the next line, too.
-        let _ = tidy(&path);
-        let mut fails = false;
-        for line in to_write {
-            let written = append(&path, &line);
-            if let (Err(error), false) = (&written, fails) {
-                let file = path.display();
-                tracing::warn!(%file, %error, "after a restart of this node, what it recorded before would not count");
-            }
-            fails = written.is_err();
+fn write_to(path: PathBuf) -> FileWriter<Vec<u8>> {
+    let consequence = "after a restart of this node, what it recorded before would not count";
+    let mut is_tidy = false;
+    file_writer::start(path, WAITING, consequence, move |path, line: Vec<u8>| {
+        if !std::mem::replace(&mut is_tidy, true) {
+            // What fails here fails for the line, too.
+            let _ = tidy(path);
         }
-    });
-    lines
+        append(path, &line)
+    })
 }
 
 /// What was written, as far as it counts `now`.
@@ -299,5 +303,52 @@ mod tests {
         let refused = read::<Fields>(&scene.path, &source(), Duration::from_secs(1000)).unwrap_err();
         assert!(refused.to_string().contains("move it away"), "{refused}");
         assert!(append(&scene.path, &long(40)).is_err(), "a file that is none of ours is not touched");
+    }
+
+    #[tokio::test]
+    async fn an_end_in_good_order_leaves_the_last_state_on_the_disk() {
+        let scene = Scene::new(&[]);
+        let now = MachineTime::from_boot(Duration::from_secs(1000));
+        let (file, earlier) = StateFile::open::<Fields>(scene.path.clone(), source(), now).await;
+        assert_eq!(earlier, []);
+        (0..100).for_each(|seq| file.append(&state("a", seq, seq)));
+        file.end(Duration::from_secs(60)).await;
+        assert_eq!(scene.seconds(), (0..100).collect::<Vec<_>>());
+    }
+
+    /// A pipe shows nothing while somebody may write to it, as a file on a disk that hangs.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_stopping_node_does_not_wait_for_a_disk_that_hangs() {
+        use std::os::unix::fs::OpenOptionsExt;
+        use std::time::Instant;
+
+        use rustix::fs::{CWD, Mode, OFlags, mkfifoat};
+
+        const HANGS: Duration = Duration::from_secs(60);
+
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("states.jsonl");
+        mkfifoat(CWD, &path, Mode::RUSR | Mode::WUSR).unwrap();
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let now = MachineTime::from_boot(Duration::from_secs(1000));
+        runtime.spawn(StateFile::open::<Fields>(path.clone(), source(), now));
+        // Opened without waiting, which is refused as long as nobody reads.
+        let nonblocking = i32::try_from(OFlags::NONBLOCK.bits()).unwrap();
+        let began = Instant::now();
+        let writer = loop {
+            match OpenOptions::new().write(true).custom_flags(nonblocking).open(&path) {
+                Ok(writer) => break writer,
+                Err(refused) => assert!(began.elapsed() < HANGS, "nobody reads it: {refused}"),
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        };
+        let (stopped, seen) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            drop(runtime);
+            stopped.send(()).unwrap();
+        });
+        assert_eq!(seen.recv_timeout(HANGS), Ok(()), "the runtime waits for the disk");
+        drop(writer);
     }
 }

@@ -46,11 +46,17 @@ pub fn complain(file: &config::Bus, locators: &[String]) {
     // The address of files without `[bus]` is for all of them: the first has it, and the others meet it there.
     let own = file.listen.iter().filter(|endpoint| *endpoint != config::endpoints::THIS_HOST);
     for endpoint in own.filter(|endpoint| is_elsewhere(endpoint, locators)) {
-        lines::complain(format_args!(
-            "starmesh: {endpoint} of [bus] listen is held by another program, or is no address of this host; \
-             the nodes go on without it and meet the others where they can"
-        ));
+        lines::complain(is_not_had(endpoint));
     }
+}
+
+/// For a person: an address of the file that the supervisor did not get, and what to do.
+fn is_not_had(endpoint: &str) -> String {
+    format!(
+        "starmesh: {endpoint} of [bus] listen is held by another program, or is no address of this host; the nodes go on \
+         without it and meet the others where they can. If others look for them there, end that program, or correct [bus] \
+         listen"
+    )
 }
 
 /// Where the bus of a file is reached, for a person.
@@ -126,6 +132,8 @@ mod tests {
         let locators = ["tcp/10.0.0.5:7447".to_owned(), "tcp/127.0.0.1:40001".to_owned()];
         assert!(!is_elsewhere("tcp/0.0.0.0:7447", &locators) && !is_elsewhere("tcp/0.0.0.0:0", &locators));
         assert!(is_elsewhere("tcp/10.0.0.5:7448", &locators));
+        let words = is_not_had("tcp/10.0.0.5:7448");
+        assert!(words.contains("tcp/10.0.0.5:7448") && words.contains("end that program, or correct [bus]"), "{words}");
     }
 
     #[test]

@@ -18,6 +18,8 @@ use schedule::read_text;
 use schedule::validate::{self, KnownFacts};
 use units::Utc;
 
+pub use self::files::writable;
+
 use crate::console::{foreign_line, line};
 use crate::join::Join;
 

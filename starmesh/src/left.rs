@@ -1,9 +1,14 @@
 //! The processes that `starmesh up` started, in a file next to the configuration, so that the next `starmesh up` and other
 //! commands know which of them still run.
+//!
+//! Next to it is an empty file that the running `starmesh up` has locked. It stays where it is: the system releases the
+//! lock with the process, however that ends, and of two that start at once one has it.
 
 use std::fmt;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use contract::Role;
@@ -13,6 +18,8 @@ use crate::process::Process;
 
 /// A device node without an enclosure ends within this time.
 const END: Duration = Duration::from_secs(15);
+/// An `up` that has the lock is named in the file within this time.
+const NAMED: Duration = Duration::from_secs(5);
 
 /// A node that was started.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,10 +47,13 @@ struct Processes {
 pub struct Left {
     path: PathBuf,
     processes: std::sync::Mutex<Processes>,
+    /// Locked as long as this process runs; nothing where the file system has no locks.
+    _lock: Option<File>,
 }
 
-/// The file of a configuration.
+/// The file of a configuration: one, by whichever link that is named.
 pub fn path(config: &Path) -> PathBuf {
+    let config = config.canonicalize().unwrap_or_else(|_| config.to_path_buf());
     config.with_file_name(format!(".{}.up", config.file_name().unwrap_or_default().to_string_lossy()))
 }
 
@@ -58,6 +68,62 @@ pub fn names(nodes: &[Started]) -> String {
     if names.is_empty() { "nothing".to_owned() } else { names.join(", ") }
 }
 
+/// Another process has the lock.
+struct AlreadyLocked;
+
+/// Locks the file that says that an `up` runs; `None` where that cannot be done, which is complained about: a dome is not
+/// left without its nodes for that.
+fn lock(path: &Path) -> Result<Option<File>, AlreadyLocked> {
+    let at = path.with_extension("up-lock");
+    let opened = OpenOptions::new().write(true).create(true).truncate(false).open(&at);
+    let locked = or_read_only(opened, &at).map_err(TryLockError::Error).and_then(|file| file.try_lock().map(|()| file));
+    match locked {
+        Ok(file) => Ok(Some(file)),
+        Err(TryLockError::WouldBlock) => Err(AlreadyLocked),
+        Err(TryLockError::Error(error)) => {
+            node::lines::complain(format_args!(
+                "starmesh: cannot lock {} ({error}), so that two `starmesh up` of this file could run at once; let this \
+                 account write to that folder, and read that file",
+                at.display()
+            ));
+            Ok(None)
+        }
+    }
+}
+
+/// A file of another account, such as root's after `sudo starmesh up`, can be locked by whoever may read it.
+fn or_read_only(opened: std::io::Result<File>, at: &Path) -> std::io::Result<File> {
+    opened.or_else(|error| if error.kind() == ErrorKind::PermissionDenied { File::open(at) } else { Err(error) })
+}
+
+fn alive_up(path: &Path) -> Option<Process> {
+    read(path).up.filter(|up| up.is_alive())
+}
+
+/// The `up` that has the lock; it may be about to write its name.
+async fn named(path: &Path) -> Option<Process> {
+    let naming = async {
+        loop {
+            if let Some(up) = alive_up(path) {
+                return up;
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    tokio::time::timeout(NAMED, naming).await.ok()
+}
+
+fn runs_already(up: Option<Process>) -> String {
+    let (who, ends) = match up {
+        Some(up) => (format!(", as process {} since {}", up.pid, up.since()), format!(", or type kill {}", up.pid)),
+        None => (String::new(), String::new()),
+    };
+    format!(
+        "another `starmesh up` runs this file already{who}; one is enough. To end that one press Ctrl-C in its \
+         terminal{ends}: it closes the enclosure first, which takes some seconds"
+    )
+}
+
 /// A file that is not there or not whole names no process.
 fn read(path: &Path) -> Processes {
     std::fs::read(path).ok().and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
@@ -68,15 +134,17 @@ impl Left {
     /// still runs, or where they cannot be asked.
     pub async fn find(config: &Path) -> anyhow::Result<Self> {
         let path = path(config);
-        if let Some(up) = read(&path).up.filter(|up| up.is_alive()) {
-            bail!(
-                "another `starmesh up` runs this file already, as process {0}; one is enough. To end that one press Ctrl-C in its \
-                 terminal, or type kill {0}: it closes the enclosure first, which takes some seconds",
-                up.pid
-            );
+        let lock = match lock(&path) {
+            Ok(lock) => lock,
+            Err(AlreadyLocked) => bail!(runs_already(named(&path).await)),
+        };
+        // One without a lock: of an older version, or where there are none.
+        if let Some(up) = alive_up(&path) {
+            bail!(runs_already(Some(up)));
         }
         let nodes = alive(&path);
-        let left = Self { path, processes: std::sync::Mutex::new(Processes { up: None, nodes: nodes.clone() }) };
+        let processes = Processes { up: None, nodes: nodes.clone() };
+        let left = Self { path, processes: std::sync::Mutex::new(processes), _lock: lock };
         // Before they are waited for: a second `up` finds this one.
         left.change(|processes| processes.up = Process::of(std::process::id()));
         for node in &nodes {
@@ -86,7 +154,7 @@ impl Left {
             if let Err(error) = ask_to_end(pid) {
                 bail!(refused(&error, &alive(&left.path)));
             }
-            let began = std::time::Instant::now();
+            let began = Instant::now();
             while process.is_alive() && began.elapsed() < END {
                 tokio::time::sleep(Duration::from_millis(200)).await;
             }
@@ -126,7 +194,8 @@ impl Left {
         change(&mut processes);
         if let Err(error) = write(&self.path, &processes) {
             node::lines::complain(format_args!(
-                "starmesh: {error:#}; a later `starmesh up` will not know what this one left"
+                "starmesh: {error:#}; a later `starmesh up` will not know what this one left. Let this account write to that \
+                 folder, or free some room"
             ));
         }
     }
@@ -178,9 +247,57 @@ mod tests {
         let config = folder.path().join("observatory.toml");
         let left = Left::find(&config).await.unwrap();
         let refused = Left::find(&config).await.unwrap_err().to_string();
-        assert!(refused.contains(&format!("process {}", std::process::id())), "{refused}");
+        let own = Process::of(std::process::id()).unwrap();
+        assert!(refused.contains(&format!("as process {} since {}", own.pid, own.since())), "{refused}");
+        assert!(refused.contains(&format!("type kill {}", own.pid)), "{refused}");
         left.nothing();
+        drop(left);
         assert!(Left::find(&config).await.is_ok());
+    }
+
+    #[tokio::test]
+    async fn of_two_that_start_at_once_one_is_refused_also_before_the_other_one_has_written_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let (config, other) = (folder.path().join("observatory.toml"), folder.path().join("europa.toml"));
+        let own = Process::of(std::process::id()).unwrap();
+        // It has the lock, and nothing names it yet.
+        let Ok(Some(first)) = lock(&path(&config)) else { panic!("no lock in a temporary folder") };
+        let naming = async { write(&path(&config), &Processes { up: Some(own), nodes: Vec::new() }) };
+        let (refused, named) = tokio::join!(Left::find(&config), naming);
+        named.unwrap();
+        let refused = refused.unwrap_err().to_string();
+        assert!(refused.contains(&format!("as process {} since {}", own.pid, own.since())), "{refused}");
+        assert!(Left::find(&other).await.is_ok(), "a file of its own in the same folder");
+        // It was killed: the system releases its lock, and its files stay.
+        drop(first);
+        std::fs::write(path(&config), r#"{"up":{"pid":1,"started_s":7},"nodes":[]}"#).unwrap();
+        assert!(Left::find(&config).await.is_ok());
+    }
+
+    #[cfg(unix)]
+    #[tokio::test]
+    async fn a_file_that_is_named_by_a_link_has_the_same_lock() {
+        let folder = tempfile::tempdir().unwrap();
+        let (config, link) = (folder.path().join("observatory.toml"), folder.path().join("callisto.toml"));
+        std::fs::write(&config, "").unwrap();
+        std::os::unix::fs::symlink(&config, &link).unwrap();
+        let _left = Left::find(&config).await.unwrap();
+        let refused = Left::find(&link).await.unwrap_err().to_string();
+        assert!(refused.contains("another `starmesh up` runs this file already"), "{refused}");
+    }
+
+    #[test]
+    fn a_lock_file_of_another_account_is_locked_by_reading_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = path(&folder.path().join("observatory.toml"));
+        drop(lock(&path));
+        // As the system refuses it; an administrator, who may run this test, is refused nothing.
+        let refused = Err(ErrorKind::PermissionDenied.into());
+        let file = or_read_only(refused, &path.with_extension("up-lock")).unwrap();
+        file.try_lock().unwrap();
+        assert!(lock(&path).is_err(), "another one has it");
+        let full = or_read_only(Err(ErrorKind::StorageFull.into()), &path.with_extension("up-lock"));
+        assert_eq!(full.unwrap_err().kind(), ErrorKind::StorageFull);
     }
 
     #[tokio::test]

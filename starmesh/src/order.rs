@@ -9,7 +9,7 @@ use contract::command::operator;
 use contract::observatory::OperatorOrders;
 use contract::order_form::{ORDERS, OrderForm, OrderParameter, ParameterValue, check_reason};
 use contract::{Address, CommandId, Key, Order, OrderKind, Part, printable};
-use orders::{Follower, GivenOn, NotAccepted, NotDone, TakenBy};
+use orders::{Follower, GivenOn, NotAccepted, NotClosed, NotDone, TakenBy};
 use serde_json::{Map, Value, json};
 
 use crate::console::{foreign_line, line};
@@ -32,8 +32,8 @@ pub struct Options {
     /// How long to wait until a close order is verified closed, s; 0 does not wait.
     #[arg(long, value_name = "SECONDS", default_value_t = 300.0, global = true)]
     wait: f64,
-    /// How long an order that closes is asked for where no observatory node answers and the domes have closed, s: one that
-    /// comes back may open again else.
+    /// How long an order that closes is asked for where no observatory node answers, after the domes have closed or were
+    /// late, s: one that comes back may open again else. Domes that are late are followed for so long.
     #[arg(long, value_name = "SECONDS", default_value_t = orders::GIVEN_ON.as_secs_f64(), global = true)]
     give_on: f64,
     #[command(flatten)]
@@ -207,10 +207,11 @@ async fn close(bus: &bus::Bus, address: &Address, order: &Order, waits: Waits, j
     let print = |taken: &TakenBy| {
         // A reader that has gone does not keep the telescope from being closed.
         let _ = match taken {
-            TakenBy::Observatory if was_silent => {
-                foreign_line(format_args!("the observatory node of {address} answers now: accepted{until}"))
+            TakenBy::Observatory | TakenBy::Ended(_) if was_silent => {
+                let followed = if until.is_empty() { "" } else { "; waiting until it is verified closed" };
+                foreign_line(format_args!("the observatory node of {address} answers now: accepted{followed}"))
             }
-            TakenBy::Observatory => line(format_args!("accepted{until}")),
+            TakenBy::Observatory | TakenBy::Ended(_) => line(format_args!("accepted{until}")),
             TakenBy::Domes(domes) => {
                 was_silent = true;
                 let domes: Vec<String> = domes.iter().map(ToString::to_string).collect();
@@ -221,13 +222,17 @@ async fn close(bus: &bus::Bus, address: &Address, order: &Order, waits: Waits, j
             }
         };
     };
-    let taken = match orders::close(bus, &follower, order, wait, print).await {
+    let late = |late: &NotClosed| {
+        let goes_on = format!("This order is followed and asked for {} s more", heard.as_secs());
+        let _ = foreign_line(format_args!("{late}. {goes_on}"));
+    };
+    let taken = match orders::close_and_go_on(bus, &follower, order, (wait, heard), print, late).await {
         Ok(taken) => taken,
         Err(NotDone::NotAccepted(error)) if error.is_silence() => {
             return Err(telescopes::unanswered(address, bus, join).await);
         }
         Err(NotDone::NotAccepted(error)) => return Err(refused(&error)),
-        Err(NotDone::NotClosed(error)) => return Err(error.into()),
+        Err(NotDone::NotClosed(error)) => bail!("{}", printable(&error.to_string())),
     };
     if !wait.is_zero() {
         line(format_args!("{}", taken.closed_words()))?;
@@ -237,7 +242,7 @@ async fn close(bus: &bus::Bus, address: &Address, order: &Order, waits: Waits, j
     match orders::give_on(bus, &follower, order, heard).await {
         Ok(taken @ GivenOn::Taken) => line(format_args!("{}", taken.words())),
         Ok(replaced) => bail!("it was only closed: {}", printable(&replaced.words())),
-        Err(error) if error.is_silence() => bail!("it was only closed: no observatory node has taken the order"),
+        Err(error) if error.is_silence() => bail!("it was only closed: no observatory node answers"),
         Err(error) => Err(refused(&error)),
     }
 }

@@ -1,7 +1,10 @@
 //! A process of this machine; its start distinguishes it from a later one of the same number.
 
+use std::time::Duration;
+
 use serde::{Deserialize, Serialize};
 use sysinfo::{Pid, ProcessesToUpdate, System};
+use units::Utc;
 
 /// A process; its start distinguishes it from a later one of the same number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -19,6 +22,11 @@ impl Process {
         let mut system = System::new().ok()?;
         system.refresh_processes(ProcessesToUpdate::Some(&[pid]), true);
         system.process(pid).map(|found| Self { pid: pid.as_u32(), started_s: found.start_time() })
+    }
+
+    /// When it was started, by the clock of this host, for people.
+    pub fn since(self) -> String {
+        Utc::EPOCH.plus(Duration::from_secs(self.started_s)).to_second()
     }
 
     /// Does it still run?

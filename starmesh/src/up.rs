@@ -1,5 +1,6 @@
 //! `starmesh up`: starts and supervises the nodes of one telescope, one process per role, and one more device node per dome.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -12,6 +13,7 @@ use tokio::sync::oneshot;
 use tokio::task::JoinSet;
 
 use crate::bus_address;
+use crate::check::writable;
 use crate::left::{self, Left};
 use crate::reports::Reports;
 use crate::running;
@@ -38,6 +40,12 @@ pub struct Options {
 
 /// Runs until Ctrl-C or SIGTERM; then enclosures are closed before their device nodes end.
 pub async fn run(options: Options) -> anyhow::Result<()> {
+    if let Err(error) = node::configuration::read_observatory(&options.file)
+        && !node_device::closes_by_copy(&options.file)
+    {
+        // Before anything is written next to a name that was mistyped.
+        return Err(error);
+    }
     let left = Arc::new(Left::find(&options.file).await?);
     let config = match node::configuration::read_observatory(&options.file) {
         Ok(config) => config,
@@ -76,7 +84,14 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let (told, beginning) = oneshot::channel();
     let (site, now) = (config.clone(), bus.clock().utc());
     // A disk that hangs keeps no node from its start.
-    std::thread::spawn(move || told.send(node_observatory::beginning::words(&site, now)));
+    std::thread::spawn(move || {
+        for why in unwritable(&site) {
+            lines::complain(format_args!(
+                "starmesh: {why}. What needs this folder waits for it, and the nodes try again"
+            ));
+        }
+        told.send(node_observatory::beginning::words(&site, now))
+    });
     let node = |role, id: &str| NodeProcess {
         role,
         id: id.to_owned(),
@@ -193,12 +208,23 @@ async fn clock(config: &config::Observatory) -> Clock {
     }
 }
 
+/// The folders to which the nodes cannot write: the key, why, and what to do.
+fn unwritable(config: &config::Observatory) -> Vec<String> {
+    let folders = [("folders.data", &config.folders.data), ("folders.images", &config.folders.images)];
+    folders.into_iter().filter_map(|(key, folder)| Some(format!("{key}: {}", writable(folder).err()?))).collect()
+}
+
 /// The address of the page, before the web node has taken it.
 fn page(listen: std::net::SocketAddr) -> String {
     match std::net::TcpListener::bind(listen) {
         Ok(_) => format!("the page is at http://{listen}/ "),
+        Err(error) if error.kind() == ErrorKind::AddrInUse => format!(
+            "the page cannot be served at http://{listen}/ now: another program has this address, and a page that is there is of \
+             that one; end it, or choose another web.listen"
+        ),
         Err(error) => format!(
-            "the page cannot be served at http://{listen}/ now ({error}); a page that is there is of another program"
+            "the page cannot be served at http://{listen}/ ({error}); choose an address of this host as web.listen, and a \
+             port from 1024 on"
         ),
     }
 }
@@ -263,5 +289,21 @@ mod tests {
             started(5, &names)
                 .starts_with("3 of 5 nodes started; the device node main, the archive node main were not")
         );
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_written_and_a_port_that_is_taken_are_told_with_their_keys_and_what_to_do() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("data"), "a file in the place of the folder").unwrap();
+        let place = "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\n\
+                     elevation_m = 0.0\n";
+        let config = config::parse(place, folder.path()).unwrap();
+        let [found] = <[String; 1]>::try_from(unwritable(&config)).unwrap();
+        assert!(found.starts_with("folders.data: ") && found.contains("data is no folder"), "{found}");
+
+        let other = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let at = other.local_addr().unwrap();
+        let words = page(at);
+        assert!(words.contains(&at.to_string()) && words.contains("end it, or choose another web.listen"), "{words}");
     }
 }

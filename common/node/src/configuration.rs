@@ -17,12 +17,18 @@ fn read_text(file: &Path) -> std::io::Result<String> {
 /// The text of a configuration file; errors name the file.
 pub fn config_text(file: &Path) -> anyhow::Result<String> {
     let read = read_text(file);
-    let help = match read.as_ref().map_err(std::io::Error::kind) {
-        Err(ErrorKind::NotFound) => "; name the telescope's observatory.toml, or make one with `starmesh init`",
-        Err(ErrorKind::IsADirectory) => "; name the file in it, such as observatory.toml",
-        _ => "",
-    };
+    let help = read.as_ref().err().map_or("", |error| help(error.kind()));
     read.with_context(|| format!("cannot read the configuration {}{help}", file.display()))
+}
+
+/// What to do about a configuration that cannot be read.
+fn help(kind: ErrorKind) -> &'static str {
+    match kind {
+        ErrorKind::NotFound => "; name the telescope's observatory.toml, or make one with `starmesh init`",
+        ErrorKind::IsADirectory => "; name the file in it, such as observatory.toml",
+        ErrorKind::PermissionDenied => "; let this account read it, or start the nodes from the account that may",
+        _ => "",
+    }
 }
 
 /// Reads a configuration file without the files that it names; errors name the file.
@@ -59,4 +65,15 @@ pub(crate) fn read_config_of_node(file: &Path) -> anyhow::Result<(Observatory, H
         Ok(header) => (config, header, None),
         Err(why) => (config, HeaderTable::default(), Some(format!("{why:#}; the built-in rows are used"))),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_configuration_of_another_account_is_told_with_what_to_do() {
+        assert!(help(ErrorKind::PermissionDenied).contains("let this account read it"));
+        assert_eq!(help(ErrorKind::Other), "");
+    }
 }

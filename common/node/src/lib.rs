@@ -22,6 +22,7 @@ mod console;
 mod diary;
 mod disk;
 mod figures;
+pub mod file_writer;
 mod flood;
 mod host;
 pub mod lines;

@@ -4,6 +4,7 @@
 //! Whatever starts the node again (systemd, a container engine, `starmesh up`), the next run notices it. What reads and
 //! writes is apart from the node's work, which waits for no disk.
 
+use std::fmt::Display;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -78,7 +79,7 @@ fn replaced(program: PathBuf) -> PathBuf {
 
 /// Notes that this run has begun; logs, and raises, what the file shows of those before it. Lasts as long as the alert may.
 pub(crate) async fn notice(node: &Node) {
-    let path = path(node);
+    let path = path(&node.config, node.role, &node.id);
     let noted = tokio::task::spawn_blocking(move || {
         let before = std::fs::read_to_string(&path).ok();
         let mut ends = before.as_deref().map(Ends::read).unwrap_or_default();
@@ -112,15 +113,20 @@ pub(crate) async fn notice(node: &Node) {
 
 /// The node ended as it was asked to.
 pub(crate) async fn ended_well(node: &Node) {
-    let path = path(node);
+    let path = path(&node.config, node.role, &node.id);
     let removing = tokio::task::spawn_blocking(move || std::fs::remove_file(path));
     // One that is not removed is an end that was none, in the next run's log.
     let _ = tokio::time::timeout(DISK, removing).await;
 }
 
-fn path(node: &Node) -> PathBuf {
-    let name = format!(".run-{}-{}-{}", node.config.place.telescope, node.role, node.id);
-    node.config.folders.data.join(name)
+/// Is a run of a node of this telescope and data folder noted that has not ended as it was asked to: one that goes on, or
+/// was killed?
+pub fn is_open(config: &config::Observatory, role: impl Display, id: impl Display) -> bool {
+    path(config, role, id).exists()
+}
+
+fn path(config: &config::Observatory, role: impl Display, id: impl Display) -> PathBuf {
+    config.folders.data.join(format!(".run-{}-{role}-{id}", config.place.telescope))
 }
 
 fn now_s() -> u64 {

@@ -11,6 +11,7 @@ mod recent_states;
 use std::convert::Infallible;
 use std::future::{Ready, pending, ready};
 use std::ops::ControlFlow;
+use std::pin::pin;
 use std::time::{Duration, Instant};
 
 use bus::{AskError, Bus, Catch};
@@ -133,6 +134,8 @@ pub fn ask_again() -> Ready<ControlFlow<Infallible>> {
 pub enum TakenBy {
     /// The observatory node.
     Observatory,
+    /// The observatory node, which fell silent before all was closed: the guards of these domes closed.
+    Ended(Vec<Device>),
     /// No observatory node answered: the device nodes of these domes took it, and close.
     Domes(Vec<Device>),
 }
@@ -142,16 +145,24 @@ impl TakenBy {
     pub fn closed_words(&self) -> String {
         match self {
             Self::Observatory => "verified closed".to_owned(),
+            Self::Ended(domes) => format!(
+                "verified closed by the guard of {}: the observatory node took the order and has fallen silent since",
+                domes::names(domes)
+            ),
             Self::Domes(domes) => {
                 format!("verified closed by the guard of {}, at the command to its device node", domes::names(domes))
             }
         }
     }
 
-    /// What an order that nobody but the domes took leaves undone.
+    /// What an order leaves undone that only guards carried out: it is to be given on ([`give_on`]).
     pub fn warning(&self) -> Option<&'static str> {
         match self {
             Self::Observatory => None,
+            Self::Ended(_) => Some(
+                "the observatory node may not have written the order down: when it is back, it may open again by its schedule; \
+                 order again then",
+            ),
             Self::Domes(_) => Some(
                 "the observatory node did not answer and does not know of this order: when it is back, it may open again by its \
                  schedule; order again then",
@@ -184,7 +195,24 @@ pub async fn close(
     follower: &Follower,
     order: &Order,
     within: Duration,
+    taken: impl FnMut(&TakenBy),
+) -> Result<TakenBy, NotDone> {
+    close_and_go_on(bus, follower, order, (within, Duration::ZERO), taken, |_| {}).await
+}
+
+/// As [`close()`], and where only the domes took the order and do not close in time, they are followed and the observatory
+/// node is asked for `beyond` more: the guards go on, and an observatory node that comes back has to know of the order.
+/// `late` is called before that. An order that was replaced by a newer one is over then: it would close what that opened.
+///
+/// # Errors
+/// As [`close()`].
+pub async fn close_and_go_on(
+    bus: &Bus,
+    follower: &Follower,
+    order: &Order,
+    (within, beyond): (Duration, Duration),
     mut taken: impl FnMut(&TakenBy),
+    mut late: impl FnMut(&NotClosed),
 ) -> Result<TakenBy, NotDone> {
     let (address, given_utc) = (&follower.address, bus.clock().utc());
     let (silences, mut counted) = watch::channel(0);
@@ -219,25 +247,38 @@ pub async fn close(
             Err(error) => Err(error),
         }
     };
-    let closed = async {
-        let closed = match within.is_zero() {
-            true => Ok(()),
-            false => follower.until_domes_closed(&over, commanded, within).await,
+    let mut answers = pin!(answers);
+    let (mut time, mut more, mut waited) = (within, beyond, Duration::ZERO);
+    loop {
+        let closed = async {
+            let closed = match time.is_zero() {
+                true => Ok(()),
+                false => follower.until_domes_closed(&over, commanded, time).await,
+            };
+            // The sender lives as long as this function.
+            let _ = counted.wait_for(|silences| *silences >= TRIES).await;
+            closed
         };
-        // The sender lives as long as this function.
-        let _ = counted.wait_for(|silences| *silences >= TRIES).await;
-        closed
-    };
-    tokio::select! {
-        answer = answers => {
-            answer?;
-            taken(&TakenBy::Observatory);
-            closed_by_observatory(follower, order, given_utc, within).await
+        let open = tokio::select! {
+            answer = answers.as_mut() => {
+                answer?;
+                taken(&TakenBy::Observatory);
+                return closed_by_observatory(follower, order, given_utc, time).await;
+            }
+            closed = closed => match closed {
+                Ok(()) => return Ok(closing),
+                Err(open) => open,
+            }
+        };
+        waited += time;
+        let replaced = follower.replaced().map(Box::new);
+        let is_over = more.is_zero() || replaced.is_some();
+        let error = NotClosed::DomesLate { open, within: waited, replaced };
+        if is_over {
+            return Err(error.into());
         }
-        closed = closed => {
-            closed?;
-            Ok(closing)
-        }
+        late(&error);
+        (time, more) = (more, Duration::ZERO);
     }
 }
 
@@ -247,17 +288,17 @@ async fn closed_by_observatory(
     given_utc: Utc,
     within: Duration,
 ) -> Result<TakenBy, NotDone> {
-    if !within.is_zero() {
-        follower.until_closed(&order.id, given_utc, within).await?;
+    match within.is_zero() {
+        true => Ok(TakenBy::Observatory),
+        false => Ok(follower.until_closed(order, given_utc, within).await?),
     }
-    Ok(TakenBy::Observatory)
 }
 
-/// So long an order that closes and that only the domes took is given on, machine time: an observatory node that hangs is
-/// started again within half a minute, and would open again by its schedule.
+/// So long an order that closes and that only guards carried out is given on, machine time: an observatory node that hangs
+/// is started again within half a minute, and would open again by its schedule.
 pub const GIVEN_ON: Duration = Duration::from_secs(120);
 
-/// How it ended that an order which only the domes took was given on.
+/// How it ended that an order which only guards carried out was given on.
 #[derive(Debug, Clone, PartialEq)]
 pub enum GivenOn {
     /// The observatory node has taken it.
@@ -271,17 +312,22 @@ impl GivenOn {
     pub fn words(&self) -> String {
         match self {
             Self::Taken => "the observatory node answers now, and has taken the order".to_owned(),
-            Self::Replaced(OrderTaken { from, at_utc, .. }) => format!(
-                "the observatory node answers now, and has taken a newer order of {} at {}: this one is not given any more",
-                operator(from),
-                at_utc.to_second()
-            ),
+            Self::Replaced(newer) => replaced_by_words(newer),
         }
     }
 }
 
-/// Gives an order that only the domes took to the observatory node, until that answers, or has taken a newer order about
-/// the same thing from anybody, or the time is over.
+/// What became of an order that a newer one replaced, for people.
+fn replaced_by_words(OrderTaken { from, at_utc, .. }: &OrderTaken) -> String {
+    format!(
+        "the observatory node has taken a newer order of {} at {}: this one is not given any more",
+        operator(from),
+        at_utc.to_second()
+    )
+}
+
+/// Gives an order that only guards carried out to the observatory node, until that answers, or the time is over; not any
+/// more once that has taken a newer order about the same thing from anybody, also while the order was followed.
 ///
 /// # Errors
 /// It did not answer, or refuses.
@@ -301,5 +347,22 @@ async fn ask_on(
         biased;
         newer = follower.until_replaced(order) => Ok(GivenOn::Replaced(newer)),
         answer = give_until_answered(bus, &follower.address, order, within, silent) => answer.map(|_| GivenOn::Taken),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::Kind;
+
+    use super::*;
+
+    #[test]
+    fn an_order_that_guards_carried_out_is_given_on_whether_or_not_the_observatory_node_took_it_before() {
+        let address = Address::new("paranal", "callisto").unwrap();
+        let domes = vec![address.device(Kind::Dome, &"dome_1".parse().unwrap())];
+        let warning = |taken: TakenBy| taken.warning().unwrap_or_default();
+        assert_eq!(warning(TakenBy::Observatory), "");
+        assert!(warning(TakenBy::Ended(domes.clone())).contains("may not have written the order down"));
+        assert!(warning(TakenBy::Domes(domes)).contains("does not know of this order"));
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use contract::observatory::{Interval, SafetyState, Unsafe, Verdict};
 use units::{MachineTime, Utc};
 
-use crate::judge::Judgement;
+use crate::judge::{Judgement, time_to_safe_s};
 use crate::nodes::NODE_INPUT;
 
 /// The newest verdict as the other tasks of this node see it.
@@ -18,6 +18,8 @@ pub struct CurrentVerdict {
     /// False for the first seconds of a node that has not received all of its inputs yet: nobody acts on the verdict
     /// then, so that a restart in a safe night does not shut the roof. A bad input ends this at once.
     pub settled: bool,
+    /// Why a dome that is shut stays shut although the sky is safe: something was missed, and is not known.
+    pub keeps_shut: Vec<Unsafe>,
     /// The clock may be ahead by so much, s: what has surely passed passed before that.
     pub ahead_s: f64,
 }
@@ -39,7 +41,23 @@ impl CurrentVerdict {
             avoid: Vec::new(),
             intervals: Vec::new(),
         };
-        Self { state, judged: now, settled: false, ahead_s: 0.0 }
+        Self { state, judged: now, settled: false, keeps_shut: Vec::new(), ahead_s: 0.0 }
+    }
+
+    /// A judgement as it holds after this verdict: an unsafe one stays unsafe over what was missed, a safe one does not
+    /// end for it. Before the first inputs have come, none is known that could stay.
+    pub fn hold(&self, mut judgement: Judgement) -> Judgement {
+        if judgement.verdict == Verdict::Unsafe || judgement.keeps_shut.is_empty() {
+            return judgement;
+        }
+        if self.settled && self.state.verdict == Verdict::Unsafe {
+            judgement.verdict = Verdict::Unsafe;
+            judgement.time_to_safe_s = time_to_safe_s(&judgement.keeps_shut);
+            judgement.reasons.clone_from(&judgement.keeps_shut);
+        } else {
+            judgement.advisories.extend(judgement.keeps_shut.iter().cloned());
+        }
+        judgement
     }
 
     /// Takes in a new judgement, given now; once `settled` it stays so.
@@ -56,6 +74,7 @@ impl CurrentVerdict {
             avoid: judgement.avoid,
             intervals,
         };
+        self.keeps_shut = judgement.keeps_shut;
         self.judged = now;
         self.settled |= settled;
     }
@@ -111,6 +130,7 @@ mod tests {
             reasons: Vec::new(),
             suspended: Vec::new(),
             advisories: Vec::new(),
+            keeps_shut: Vec::new(),
             time_to_safe_s: None,
             inputs: Vec::new(),
             avoid: Vec::new(),

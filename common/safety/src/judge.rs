@@ -25,6 +25,9 @@ pub struct Judgement {
     pub suspended: Vec<Unsafe>,
     /// What is only reported.
     pub advisories: Vec<Unsafe>,
+    /// Why a dome that is shut stays shut, whatever the verdict: something was missed, and is not known. An open one stays
+    /// open over it.
+    pub keeps_shut: Vec<Unsafe>,
     /// Sky seconds until all known dwell times have run out; `None` where nobody can know.
     pub time_to_safe_s: Option<f64>,
     /// Every input with its newest value and age.
@@ -71,7 +74,7 @@ pub fn judge(rules: &Rules, history: &History, now: Now) -> Judgement {
         evaluation.against(Response::Suspend, &complaint.input, complaint.why, None);
     }
     let avoid = rules.wind_sector.map(|sector| history.winds.sectors(&sector, now.machine)).unwrap_or_default();
-    Judgement { avoid, ..evaluation.close() }
+    Judgement { avoid, keeps_shut: history.keeps_shut(rules, now), ..evaluation.close() }
 }
 
 /// The limits with their received values; both were made from the same rules.
@@ -152,22 +155,24 @@ impl Evaluation {
 
     fn close(self) -> Judgement {
         let verdict = if self.reasons.is_empty() { Verdict::Safe } else { Verdict::Unsafe };
-        let longest = self
-            .reasons
-            .iter()
-            .map(|reason| reason.clears_in_s)
-            .try_fold(0.0, |longest: f64, left| left.map(|left| longest.max(left)));
         Judgement {
             verdict,
-            time_to_safe_s: longest,
+            time_to_safe_s: time_to_safe_s(&self.reasons),
             reasons: self.reasons,
             suspended: self.suspended,
             advisories: self.advisories,
+            keeps_shut: Vec::new(),
             inputs: self.inputs,
             avoid: Vec::new(),
             speaks_against: self.speaks_against,
         }
     }
+}
+
+/// Sky seconds until all reasons are gone; `None` where nobody can know.
+pub(crate) fn time_to_safe_s(reasons: &[Unsafe]) -> Option<f64> {
+    let mut left_s = reasons.iter().map(|reason| reason.clears_in_s);
+    left_s.try_fold(0.0, |longest: f64, left| left.map(|left| longest.max(left)))
 }
 
 fn minutes(duration: Duration) -> f64 {

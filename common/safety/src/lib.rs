@@ -26,6 +26,7 @@
 //!   dwell looks; [`received`]: the states of all inputs.
 //! - [`recall`]: what a device node recorded and this node did not receive, placed on this node's clocks; [`recalled`]:
 //!   the same among what was received; [`stored_history`]: what this node itself received before it was restarted.
+//! - [`missed`]: states that nobody knows; [`keeps_shut`]: a shut dome stays shut over them.
 //! - [`contradiction`]: values of a weather station that exclude each other; [`frozen`]: a station whose values do not
 //!   move; [`wind`]: directions to avoid.
 //! - [`nodes`]: clocks and disks of the other machines; [`clocks`]: what time it may be; [`sun`]: where the Sun stands
@@ -56,6 +57,9 @@
 //! - What was recorded counts over restarts of all nodes, holes in what was received, and any two of them; without a
 //!   record nothing does (decision 0177): `of_any_two_interruptions_within_a_dwell_neither_starts_it_anew`,
 //!   `nobody_is_safe_after_interruptions_where_one_who_received_everything_is_not`.
+//! - What was missed keeps a shut dome shut while it is asked for, and for a dwell where the answer cannot be taken; an open
+//!   one stays open (decision 0177): `a_dwell_that_ends_while_a_device_node_is_asked_opens_nothing`
+//!   (`keeps_shut.rs`).
 //! - What this node wrote before a restart counts like what it received, and no longer (decision 0150):
 //!   `a_restart_within_the_allowed_age_is_judged_as_if_nothing_had_come_meanwhile`.
 //! - What may have happened before this node subscribed is unknown, and unknown is unsafe, also within the window of a
@@ -73,11 +77,15 @@ pub mod annunciator;
 pub mod clocks;
 pub mod contradiction;
 pub mod current_verdict;
+#[cfg(test)]
+mod fixture;
 pub mod frozen;
 pub mod history;
 pub mod intervals;
 pub mod judge;
+pub mod keeps_shut;
 pub mod measure;
+pub mod missed;
 pub mod nodes;
 pub mod objection;
 pub mod on_disk;

@@ -7,7 +7,7 @@ use contract::device::observing_conditions::{Fields as Weather, made_of};
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::{Datum, DeviceState, Link, NoData};
 use serde::{Deserialize, Serialize};
-use units::seconds;
+use units::{MachineTime, seconds};
 
 use super::contradiction::Contradiction;
 use super::history::Now;
@@ -37,7 +37,7 @@ pub struct Measured {
 }
 
 /// A state of which no more is known than verdicts need.
-pub(crate) fn state<F>(link: Link, fields: F) -> DeviceState<F> {
+pub fn state<F>(link: Link, fields: F) -> DeviceState<F> {
     DeviceState {
         link,
         busy: false,
@@ -52,11 +52,15 @@ pub(crate) fn state<F>(link: Link, fields: F) -> DeviceState<F> {
 /// Nothing older is a reading; machine time.
 const OLDEST: Duration = Duration::from_secs(10 * 86_400);
 
-/// When a reading was made that was so old at that moment: not when it was published.
+/// When a reading was made that was so old at that moment: not when it was published. Before this machine was started
+/// there is no such time.
 pub(crate) fn aged(at: Now, age_s: Option<f64>, speed: f64) -> Result<Now, String> {
     let Some(age_s) = age_s else { return Ok(at) };
     let age = Duration::try_from_secs_f64(age_s).ok().filter(|age| *age <= OLDEST);
     let age = age.ok_or_else(|| format!("its age is given as {age_s} s"))?;
+    if age > at.machine.since(MachineTime::from_boot(Duration::ZERO)) {
+        return Err(format!("read {age_s:.0} s before, when this machine was not started yet"));
+    }
     Ok(Now { machine: at.machine.minus(age), sky: at.sky.minus(age.mul_f64(speed)) })
 }
 
@@ -155,6 +159,8 @@ fn measured_lately(age_s: &Datum<f64>, what: &str, sent_s: f64, max_age: Duratio
 
 #[cfg(test)]
 mod tests {
+    use units::SkyTime;
+
     use super::*;
 
     fn weather(fields: Weather) -> DeviceState<Weather> {
@@ -217,5 +223,15 @@ mod tests {
         state.fields.humidity_percent = Datum::Known(30.0);
         state.link = Link::Lost { reason: NoData::new("timeout", "2 s") };
         assert_eq!(parameter(&state, "Humidity", MAX_AGE, 1.0, 0.0).unwrap_err(), "link lost: timeout: 2 s");
+    }
+
+    #[test]
+    fn a_reading_from_before_the_boot_of_this_host_has_no_time() {
+        let since_boot = Duration::from_secs(10);
+        let at = Now { machine: MachineTime::from_boot(since_boot), sky: SkyTime::from_start(since_boot) };
+        let zero = Now { machine: MachineTime::from_boot(Duration::ZERO), sky: SkyTime::from_start(Duration::ZERO) };
+        assert_eq!(aged(at, Some(10.0), 1.0), Ok(zero));
+        let refused = aged(at, Some(11.0), 1.0).unwrap_err();
+        assert_eq!(refused, "read 11 s before, when this machine was not started yet");
     }
 }

@@ -4,16 +4,18 @@
 //! A record is evidence for the past only. It is taken if it joins what was received: without a gap in the numbers of
 //! any incarnation of the device node, and with the states that were received here before and after the hole among them,
 //! with the same content. Live states alone decide what is now; states in the record after the newest live one that nobody
-//! received are left out. A record that does not fit is refused as a whole, and the dwell runs as without one.
+//! received are left out, and so are those from before this machine was started. A record that does not fit is refused as
+//! a whole; whether it says something against what was received is told apart ([`NotTaken`]).
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use contract::device::record::{StateEntry, StateRecord};
 use contract::{BootId, DeviceState, Link, Payload, Stamped};
-use units::MachineTime;
+use units::{MachineTime, Utc};
 
 use super::history::Now;
+use super::missed::Hole;
 
 /// The moment of the answer must be known this well: by so much may the silence before the next live state look
 /// shorter than it was, machine time. It is far less than any allowed age.
@@ -26,6 +28,8 @@ const OLDEST: Duration = Duration::from_secs(10 * 86_400);
 const MARGIN: Duration = Duration::from_secs(5);
 /// More states than any device node keeps.
 const MOST_ENTRIES: usize = 20_000;
+/// More states than any device node publishes while it is asked.
+const MOST_LIVE: usize = 2000;
 
 /// One state at the time when it was published.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,6 +56,23 @@ pub struct Recall<F> {
     before: Option<LiveState<F>>,
     /// All states after the hole, until the device node was asked; none while nothing is missing.
     live: Vec<LiveState<F>>,
+    /// More came than are kept: some of `live` are missing before the newest one.
+    is_over: bool,
+}
+
+/// Why a record is not taken.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum NotTaken {
+    /// It came too early or too late to be placed, and says nothing against what was received: as good as no answer.
+    Untimely(String),
+    /// It contradicts what was received, or does not contain it.
+    Contradicts(String),
+}
+
+impl From<String> for NotTaken {
+    fn from(why: String) -> Self {
+        Self::Contradicts(why)
+    }
 }
 
 /// One state as it was received.
@@ -59,6 +80,7 @@ pub struct Recall<F> {
 struct LiveState<F> {
     boot_id: BootId,
     seq: u64,
+    at_utc: Utc,
     placed: PlacedState<F>,
 }
 
@@ -82,7 +104,7 @@ pub struct Asked {
 
 impl<F> Default for Recall<F> {
     fn default() -> Self {
-        Self { before: None, live: Vec::new() }
+        Self { before: None, live: Vec::new(), is_over: false }
     }
 }
 
@@ -96,8 +118,13 @@ impl<F: Payload + PartialEq> Recall<F> {
             fields: sample.body.fields.clone(),
             ages_s: ages_s(&sample.body),
         };
-        let state = LiveState { boot_id: sample.boot_id.clone(), seq: sample.seq, placed };
+        let state = LiveState { boot_id: sample.boot_id.clone(), seq: sample.seq, at_utc: sample.at_utc, placed };
         if !self.live.is_empty() {
+            if self.live.len() >= MOST_LIVE {
+                // The next hole begins with the newest one.
+                self.live.pop();
+                self.is_over = true;
+            }
             self.live.push(state);
             return false;
         }
@@ -109,6 +136,12 @@ impl<F: Payload + PartialEq> Recall<F> {
         }
         self.live.push(state);
         true
+    }
+
+    /// The hole for which the device node is to be asked, if there is one.
+    pub fn hole(&self) -> Option<Hole> {
+        let from_utc = self.before.as_ref().map(|before| before.at_utc);
+        self.live.first().map(|first| Hole { from_utc, until_utc: first.at_utc })
     }
 
     /// How far back the device node is to be asked, sky time, of which `speed` seconds are one of the machine: over the
@@ -123,26 +156,37 @@ impl<F: Payload + PartialEq> Recall<F> {
         if let Some(newest) = self.live.pop() {
             self.before = Some(newest);
             self.live.clear();
+            self.is_over = false;
         }
     }
 
     /// All states of the hole and since, oldest first, or why the record is not taken.
-    pub fn place(&self, record: &StateRecord<F>, asked: Asked) -> Result<Vec<PlacedState<F>>, String> {
-        let newest = self.live.last().ok_or("nothing was received since")?;
+    pub fn place(&self, record: &StateRecord<F>, asked: Asked) -> Result<Vec<PlacedState<F>>, NotTaken> {
+        let newest = self.live.last().ok_or_else(|| "nothing was received since".to_owned())?;
+        if self.is_over {
+            return Err("more states than are kept came meanwhile".to_owned().into());
+        }
         if record.boot_id != newest.boot_id {
-            return Err("it is of another incarnation of the device node than the live states".to_owned());
+            if record.earlier.iter().any(|earlier| earlier.boot_id == newest.boot_id) {
+                let why = "its node was restarted meanwhile, and nothing of the next incarnation was received yet";
+                return Err(NotTaken::Untimely(why.to_owned()));
+            }
+            return Err("it is of another incarnation of the device node than the live states".to_owned().into());
         }
         // False for NaN too.
         let same_speed = (record.speed - asked.speed).abs() <= 1e-6 * asked.speed;
         if !same_speed {
-            return Err(format!("its sky time ran at {} x, here it runs at {} x", record.speed, asked.speed));
+            return Err(format!("its sky time ran at {} x, here it runs at {} x", record.speed, asked.speed).into());
         }
         let states = states(record)?;
         let begins = self.begins(&states)?;
         let answered = self.answered(&states, record, asked)?;
         let ends = states.iter().rposition(|state| state.is(newest)).map_or(states.len(), |newest| newest + 1);
         let sky = asked.answered.sky.minus(asked.answered.machine.since(answered).mul_f64(asked.speed));
-        let missed = states.get(begins..ends).unwrap_or_default().iter().map(|state| PlacedState {
+        // What was published before this machine was started has no place on its clock, whose zero would look fresh.
+        let since_boot = answered.since(MachineTime::from_boot(Duration::ZERO));
+        let has_place = |state: &&RecordedState<'_, F>| state.age < since_boot;
+        let missed = states.get(begins..ends).unwrap_or_default().iter().filter(has_place).map(|state| PlacedState {
             at: Now { sky: sky.minus(state.age.mul_f64(asked.speed)), machine: answered.minus(state.age) },
             link: state.entry.link.clone(),
             fields: state.entry.fields.clone(),
@@ -179,7 +223,7 @@ impl<F: Payload + PartialEq> Recall<F> {
         states: &[RecordedState<'_, F>],
         record: &StateRecord<F>,
         asked: Asked,
-    ) -> Result<MachineTime, String> {
+    ) -> Result<MachineTime, NotTaken> {
         let mut answered = asked.answered.machine;
         for live in &self.live {
             let at = live.placed.at.machine;
@@ -191,15 +235,16 @@ impl<F: Payload + PartialEq> Recall<F> {
                     answered = answered.min(at.plus(state.age));
                 }
                 None if is_later() => answered = answered.min(at),
-                None => return Err(format!("its state {} is missing, which was received", live.seq)),
+                None => return Err(format!("its state {} is missing, which was received", live.seq).into()),
             }
         }
         if asked.at.since(answered) > DRIFT {
-            return Err("it is younger than the question, by the age of what was received".to_owned());
+            let why = "it is younger than the question, by the age of what was received";
+            return Err(NotTaken::Untimely(why.to_owned()));
         }
         let doubt = answered.since(asked.at);
         if doubt > DOUBT {
-            return Err(format!("its answer took {:.1} s", doubt.as_secs_f64()));
+            return Err(NotTaken::Untimely(format!("its answer took {:.1} s", doubt.as_secs_f64())));
         }
         Ok(answered)
     }

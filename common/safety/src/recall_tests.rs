@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use config::Response;
 use contract::device::observing_conditions::Fields;
+use contract::device::record::EarlierStates;
 use contract::observatory::Verdict;
 use contract::{Address, Datum, Device, Kind, NoData};
 use proptest::prelude::*;
@@ -149,7 +150,7 @@ fn a_record_that_does_not_fit_is_refused_as_a_whole() {
     let recall = recall_of(&station, 10..12);
     let good = || station.record(56_000);
     let in_time = asked(55_900, 56_100);
-    let refused = |record: StateRecord<Fields>, asked| recall.place(&record, asked).unwrap_err();
+    let refused = |record: StateRecord<Fields>, asked| contradiction(recall.place(&record, asked));
     assert_eq!(recall.place(&good(), in_time).unwrap().len(), 12);
     let spoilt = |spoil: fn(&mut StateRecord<Fields>)| {
         let mut record = good();
@@ -172,9 +173,51 @@ fn a_record_that_does_not_fit_is_refused_as_a_whole() {
     }
     let other = |record: &mut StateRecord<Fields>| record.entries[11].fields.humidity_percent = Datum::Known(49.0);
     assert!(spoilt(other).contains("its state 11 differs"));
+}
+
+/// Why an answer says something against what was received.
+fn contradiction(placed: Result<Vec<PlacedState<Fields>>, NotTaken>) -> String {
+    match placed {
+        Err(NotTaken::Contradicts(why)) => why,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn an_answer_that_came_too_early_or_too_late_says_nothing_against_what_was_received() {
+    let station = Station::new().publishes((0..=60).step_by(5), 50.0);
+    let recall = recall_of(&station, 10..12);
+    let untimely = |record: StateRecord<Fields>, asked| match recall.place(&record, asked) {
+        Err(NotTaken::Untimely(why)) => why,
+        other => panic!("{other:?}"),
+    };
     // Ages that a delay has spoilt.
-    assert!(refused(good(), asked(52_000, 57_000)).contains("took 4"), "not known well enough");
-    assert!(refused(station.record(55_500), asked(55_900, 56_100)).contains("younger than the question"));
+    assert!(untimely(station.record(56_000), asked(52_000, 57_000)).contains("took 4"), "not known well enough");
+    assert!(untimely(station.record(55_500), asked(55_900, 56_100)).contains("younger than the question"));
+    // Its node is restarted again and again, and the next incarnation answers before its first state has arrived.
+    let mut restarted = station.record(56_000);
+    let (boot_id, entries) = (restarted.boot_id.clone(), std::mem::take(&mut restarted.entries));
+    restarted.boot_id = BootId::fresh();
+    restarted.earlier.push(EarlierStates { boot_id, entries });
+    assert!(untimely(restarted, asked(55_900, 56_100)).contains("restarted meanwhile"));
+}
+
+#[test]
+fn what_comes_while_a_device_node_is_asked_is_bounded() {
+    let most = MOST_LIVE as i64;
+    let station = Station::new().publishes(0..=most + 3, 50.0);
+    let mut recall = recall_of(&station, 0..MOST_LIVE + 1);
+    assert_eq!(recall.live.len(), MOST_LIVE);
+    let ms = |number: usize| station.published[number].0;
+    let answer = |recall: &Recall<Fields>, number: usize| {
+        recall.place(&station.record(ms(number)), asked(ms(number), ms(number)))
+    };
+    assert_eq!(contradiction(answer(&recall, MOST_LIVE)), "more states than are kept came meanwhile");
+    recall.close();
+    // It goes on with the newest one, and the next hole counts for itself.
+    assert!(!recall.observe(&station.stamped(MOST_LIVE + 1), now(ms(MOST_LIVE + 1))));
+    assert!(recall.observe(&station.stamped(MOST_LIVE + 3), now(ms(MOST_LIVE + 3))));
+    assert_eq!(placed_ms(&answer(&recall, MOST_LIVE + 3).unwrap()), [ms(MOST_LIVE + 2), ms(MOST_LIVE + 3)]);
 }
 
 fn wx() -> Device {

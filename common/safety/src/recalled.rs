@@ -14,6 +14,7 @@ use units::MachineTime;
 use super::frozen::Freeze;
 use super::history::{Now, Record};
 use super::measure::Window;
+use super::missed::{Hole, Refusal};
 use super::reading::state;
 use super::recall::PlacedState;
 use super::received::{History, Kept};
@@ -22,7 +23,8 @@ use super::rules::Rules;
 impl History {
     /// States of a device were missed before the next one. That one counts at once; what was received before it is kept
     /// until its node was asked for them.
-    pub fn miss(&mut self, rules: &Rules, device: &Device) {
+    pub fn miss(&mut self, rules: &Rules, device: &Device, hole: Hole) {
+        self.asked.insert(device.clone(), hole);
         // Of the time before the first state, its node is asked anyway.
         if !self.awaited.contains(device) {
             self.keep(rules, device, false);
@@ -37,7 +39,7 @@ impl History {
         let limits = limits.filter(|(_, ((rule, _), _))| rule.device == *device);
         let kept = Kept {
             monitors: monitors.map(|(index, (_, record))| (index, record.clone())).collect(),
-            limits: limits.map(|(index, ((_, record), window))| (index, record.clone(), window.clone())).collect(),
+            limits: limits.map(|(index, ((_, record), window))| (index, (record.clone(), window.clone()))).collect(),
             freeze: self.freeze.clone(),
             is_written,
         };
@@ -47,7 +49,7 @@ impl History {
     /// Takes in all states of a safety monitor since those that were missed, or from before this node subscribed, in
     /// place of what was received since. `states` is empty if there is no record.
     pub fn recall_monitor(&mut self, rules: &Rules, device: &Device, states: Vec<PlacedState<Monitor>>) {
-        self.awaited.remove(device);
+        self.note_answer(device);
         let vouched_s = self.vouched_s(rules, device);
         let until = self.go_on(rules, device, &states);
         if until.is_none() {
@@ -61,7 +63,8 @@ impl History {
         }
     }
 
-    /// What the newest state that was received vouches for, as far as it is believed, s: nothing recalled vouches for more.
+    /// What the newest state that was received vouches for, as far as it is believed, s. Nothing recalled vouches for more:
+    /// nobody has looked at who published it, as `writers.rs` of the observatory node does with what is received.
     fn vouched_s(&self, rules: &Rules, device: &Device) -> f64 {
         let records = rules.monitors.iter().zip(&self.monitors).filter(|(rule, _)| rule.device == *device);
         let newest = records.map(|(_, record)| record.newest().and_then(|newest| newest.outcome.as_ref().ok()));
@@ -72,7 +75,7 @@ impl History {
 
     /// The same for a set of switches, whose values may stand still for ever.
     pub fn recall_switch(&mut self, rules: &Rules, device: &Device, states: Vec<PlacedState<Switches>>) {
-        self.awaited.remove(device);
+        self.note_answer(device);
         let until = self.go_on(rules, device, &states);
         if until.is_none() {
             self.forget(rules, device, states.first().map(|first| first.at));
@@ -91,7 +94,7 @@ impl History {
         states: Vec<PlacedState<Weather>>,
         speed: f64,
     ) -> Result<(), String> {
-        self.awaited.remove(device);
+        self.note_answer(device);
         let until = self.go_on(rules, device, &states);
         if until.is_none() && !states.is_empty() {
             let mut freeze = Freeze::default();
@@ -110,6 +113,22 @@ impl History {
         Ok(())
     }
 
+    /// There is no record of what was missed of a device: what was received remains. Its node may have `refused` it, with
+    /// an answer that cannot be taken for this reason; everything until then may have been missed.
+    pub fn go_without(&mut self, device: &Device, refused: Option<(String, Now)>) {
+        self.awaited.remove(device);
+        self.kept.remove(device);
+        let hole = self.asked.remove(device);
+        if let (Some(hole), Some((why, at))) = (hole, refused) {
+            self.refused.insert(device.clone(), Refusal { hole, why, at });
+        }
+    }
+
+    fn note_answer(&mut self, device: &Device) {
+        self.awaited.remove(device);
+        self.asked.remove(device);
+    }
+
     /// Goes back to what was kept of a device, in place of what was received since, and gives the time after which the
     /// recalled states follow it. `None` where nothing was kept, or where it was written by another incarnation of this
     /// node and the states do not join it.
@@ -120,17 +139,13 @@ impl History {
         // They begin after what was received.
         let mut until = MachineTime::from_boot(Duration::ZERO);
         if kept.is_written {
-            let mut ends = Vec::new();
-            for (index, record) in &kept.monitors {
-                if let (Some(newest), Some(rule)) = (record.newest(), rules.monitors.get(*index)) {
-                    ends.push((newest.at.machine, self.allowed_of_monitor(rule)));
-                }
-            }
-            for (index, record, _) in &kept.limits {
-                if let (Some(newest), Some(rule)) = (record.newest(), rules.limits.get(*index)) {
-                    ends.push((newest.at.machine, self.allowed(rule)));
-                }
-            }
+            let monitors = kept.monitors.iter().filter_map(|(index, record)| {
+                Some((record.newest()?.at.machine, self.allowed_of_monitor(rules.monitors.get(*index)?)))
+            });
+            let limits = kept.limits.iter().filter_map(|(index, (record, _))| {
+                Some((record.newest()?.at.machine, self.allowed(rules.limits.get(*index)?)))
+            });
+            let ends: Vec<(MachineTime, Duration)> = monitors.chain(limits).collect();
             until = ends.iter().map(|(ends, _)| *ends).max()?;
             let next = states.iter().map(|placed| placed.at.machine).find(|at| *at > until)?;
             if ends.iter().any(|(ends, allowed)| next.since(*ends) > *allowed) {
@@ -142,9 +157,9 @@ impl History {
                 *own = record;
             }
         }
-        for (index, record, window) in kept.limits {
+        for (index, before) in kept.limits {
             if let (Some(own), Some(own_window)) = (self.limits.get_mut(index), self.windows.get_mut(index)) {
-                (*own, *own_window) = (record, window);
+                (*own, *own_window) = before;
             }
         }
         self.freeze.take_over(device, &kept.freeze);

@@ -2,6 +2,10 @@
 
 use super::*;
 
+fn hole() -> Hole {
+    Hole { from_utc: None, until_utc: Utc::EPOCH }
+}
+
 #[test]
 fn what_is_written_while_a_device_node_is_asked_loses_nothing_of_what_was_missed() {
     let mut site = Site::new(&[(Cut, 300, 4)]);
@@ -11,9 +15,9 @@ fn what_is_written_while_a_device_node_is_asked_loses_nothing_of_what_was_missed
     // Received, written, and killed before the answers came.
     site.publish(304, 3.0);
     let node = site.node.as_mut().unwrap();
-    node.history.miss(&site.rules, &m());
+    node.history.miss(&site.rules, &m(), hole());
     node.history.observe_monitor(&site.rules, &m(), &site.monitor.newest().body, at(304));
-    node.history.miss(&site.rules, &wx());
+    node.history.miss(&site.rules, &wx(), hole());
     node.history.observe_weather(&site.rules, &wx(), &site.station.newest().body, 1.0, at(304));
     site.file = Some(node.history.store(&site.rules, &moment(304)));
     site.node = None;
@@ -38,4 +42,23 @@ fn nothing_recalled_vouches_for_more_than_what_was_received() {
     history.recall_monitor(&rules, &m(), vec![placed(299), placed(300)]);
     let reasons = judge(&rules, &history, at(301)).reasons;
     assert_eq!(reasons.first().and_then(|reason| reason.clears_in_s), Some(118.0), "{reasons:?}");
+}
+
+#[test]
+fn what_was_missed_vouches_for_nothing_also_where_the_newest_state_is_silent() {
+    let rules = Rules { limits: Vec::new(), ..rules() };
+    let mut history = History::new(&rules, at(0).sky);
+    let safe = |gapless_safe_s| Monitor { is_safe: Datum::Known(true), gapless_safe_s };
+    history.recall_monitor(&rules, &m(), Vec::new());
+    // Alone since a dispute: it is believed from now on.
+    history.observe_monitor(&rules, &m(), &state(Link::Connected, safe(0.0)), at(300));
+    history.miss(&rules, &m(), hole());
+    let connecting = state(Link::Connecting, Monitor::default());
+    history.observe_monitor(&rules, &m(), &connecting, at(302));
+    let missed = PlacedState { at: at(301), link: Link::Connected, fields: safe(3600.0), ages_s: BTreeMap::new() };
+    let newest =
+        PlacedState { at: at(302), link: Link::Connecting, fields: Monitor::default(), ages_s: BTreeMap::new() };
+    history.recall_monitor(&rules, &m(), vec![missed, newest]);
+    let reasons = judge(&rules, &history, at(303)).reasons;
+    assert_eq!(reasons.first().and_then(|reason| reason.clears_in_s), Some(117.0), "{reasons:?}");
 }

@@ -3,18 +3,16 @@
 
 use std::collections::BTreeMap;
 
-use config::Response;
 use contract::device::record::{EarlierStates, StateEntry, StateRecord};
 use contract::observatory::Verdict;
-use contract::{Address, BootId, Datum, DeviceState, Kind, NoData, Payload, Stamped};
+use contract::{BootId, Datum, DeviceState, NoData, Payload, Stamped};
 use proptest::prelude::*;
-use units::{SkyTime, Utc};
+use units::Utc;
 
 use super::*;
+use crate::fixture::{self, air, m, wx};
 use crate::judge::{Judgement, judge};
-use crate::measure::Measure;
 use crate::recall::{Asked, Recall};
-use crate::rules::{Bounds, LimitRule, MonitorRule};
 use crate::stored_history::{Moment, StoredHistory};
 
 /// Each dwell, s; sky time runs like the machine's.
@@ -23,56 +21,16 @@ const DWELL_S: u64 = 120;
 const BEGINS_S: u64 = 300;
 
 fn at(second: u64) -> Now {
-    // The machine has run for a day.
-    let since_boot = Duration::from_secs(86_400 + second);
-    Now { sky: SkyTime::from_start(since_boot), machine: MachineTime::from_boot(since_boot) }
+    fixture::at(second, 1.0)
 }
 
 fn moment(second: u64) -> Moment {
-    let utc = Utc::from_seconds(1.8e9 + second as f64);
-    Moment { boot: "a".to_owned(), now: at(second), utc, speed: 1.0 }
+    fixture::moment(second, 1.0)
 }
 
-fn device(kind: Kind, name: &str) -> Device {
-    Address::new("site", "scope").unwrap().device(kind, &name.parse().unwrap())
-}
-
-/// A monitor (8 s allowed) and limits on the wind of all kinds (15 s allowed).
+/// 8 s are allowed of the monitor.
 fn rules() -> Rules {
-    let monitor = MonitorRule {
-        input: "safetymonitor/m".to_owned(),
-        device: device(Kind::SafetyMonitor, "m"),
-        dwell: Duration::from_secs(DWELL_S),
-        max_age: Duration::from_secs(8),
-        by_period: false,
-    };
-    let limit = |measure: Measure, required: bool, vote: Option<&str>| LimitRule {
-        input: format!("wx/WindSpeed {measure:?} {required}"),
-        device: device(Kind::ObservingConditions, "wx"),
-        parameter: "WindSpeed".to_owned(),
-        measure,
-        bad: Bounds { upper: Some(12.0), lower: None },
-        reopen: Bounds { upper: Some(10.0), lower: None },
-        dwell: Duration::from_secs(DWELL_S),
-        max_age: Duration::from_secs(15),
-        by_period: false,
-        required,
-        response: Response::Close,
-        vote: vote.map(str::to_owned),
-    };
-    let limits = vec![
-        limit(Measure::Value, true, None),
-        limit(Measure::Max(Duration::from_secs(60)), true, None),
-        limit(Measure::Value, false, None),
-        limit(Measure::Value, true, Some("wind")),
-    ];
-    Rules { monitors: vec![monitor], limits, frozen_after: Duration::from_secs(600), ..Rules::default() }
-}
-
-/// The air at this second: the pressure always moves.
-fn air(second: u64, wind_mps: Datum<f64>) -> Weather {
-    let pressure_hpa = Datum::Known(700.0 + second as f64 * 1e-3);
-    Weather { wind_mps, pressure_hpa, ..Weather::default() }
+    fixture::rules(DWELL_S, 8, 60)
 }
 
 /// What interrupts the way from a reading to the verdict.
@@ -289,7 +247,7 @@ impl Site {
         let sample = self.monitor.newest();
         let has_missed = monitor.observe(&sample, at(second));
         if has_missed {
-            history.miss(&self.rules, &m());
+            history.miss(&self.rules, &m(), monitor.hole().unwrap());
         }
         history.observe_monitor(&self.rules, &m(), &sample.body, at(second));
         if has_missed {
@@ -299,7 +257,7 @@ impl Site {
         let sample = self.station.newest();
         let has_missed = station.observe(&sample, at(second));
         if has_missed {
-            history.miss(&self.rules, &wx());
+            history.miss(&self.rules, &wx(), station.hole().unwrap());
         }
         history.observe_weather(&self.rules, &wx(), &sample.body, 1.0, at(second));
         if has_missed {
@@ -316,14 +274,6 @@ impl Site {
     fn judged(&self, second: u64) -> Judgement {
         judge(&self.rules, &self.node.as_ref().unwrap().history, at(second))
     }
-}
-
-fn m() -> Device {
-    device(Kind::SafetyMonitor, "m")
-}
-
-fn wx() -> Device {
-    device(Kind::ObservingConditions, "wx")
 }
 
 /// What an observatory node takes of the answer of a device node.

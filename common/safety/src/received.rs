@@ -13,6 +13,7 @@ use super::contradiction::{Contradiction, contradiction};
 use super::frozen::Freeze;
 use super::history::{Entry, Now, Record};
 use super::measure::Window;
+use super::missed::{Hole, Refusal};
 use super::nodes::Nodes;
 use super::reading::{
     Measured, MonitorReading, aged, connected, monitor_reading, no_answer, oldest_s, parameter, silence,
@@ -45,6 +46,10 @@ pub struct History {
     pub(crate) kept: BTreeMap<Device, Kept>,
     /// Devices whose record of the time before was not received to its end.
     pub(crate) awaited: BTreeSet<Device>,
+    /// What the devices' nodes are being asked for.
+    pub(crate) asked: BTreeMap<Device, Hole>,
+    /// What they answered last that was not taken.
+    pub(crate) refused: BTreeMap<Device, Refusal>,
     /// Since when the stations' values stand still.
     pub freeze: Freeze,
     /// What wind blows.
@@ -62,8 +67,8 @@ pub struct History {
 /// What was known of a device, by the index of each of its rules, before some of its states were missed.
 #[derive(Debug, Clone)]
 pub(crate) struct Kept {
-    pub(crate) monitors: Vec<(usize, Record<MonitorReading>)>,
-    pub(crate) limits: Vec<(usize, Record<Measured>, Window)>,
+    pub(crate) monitors: BTreeMap<usize, Record<MonitorReading>>,
+    pub(crate) limits: BTreeMap<usize, (Record<Measured>, Window)>,
     pub(crate) freeze: Freeze,
     /// Another incarnation of this node wrote it.
     pub(crate) is_written: bool,
@@ -85,6 +90,8 @@ impl History {
                 .collect(),
             kept: BTreeMap::new(),
             awaited: monitors.chain(rules.limits.iter().map(|rule| &rule.device)).cloned().collect(),
+            asked: BTreeMap::new(),
+            refused: BTreeMap::new(),
             freeze: Freeze::default(),
             winds: Winds::default(),
             nodes: Nodes::default(),

@@ -16,6 +16,7 @@ use crate::clocks::AGREE_S;
 use crate::frozen::StoredStill;
 use crate::history::{Now, Record, StoredRecord};
 use crate::measure::{StoredWindow, Window};
+use crate::missed::{Refusal, StoredRefusal};
 use crate::reading::{Measured, MonitorReading};
 use crate::received::History;
 use crate::rules::Rules;
@@ -46,6 +47,9 @@ pub struct StoredHistory {
     limits: BTreeMap<String, (StoredRecord<Measured>, StoredWindow)>,
     polls: BTreeMap<String, Duration>,
     stations: BTreeMap<String, StoredStill>,
+    /// By the device.
+    #[serde(default)]
+    refused: BTreeMap<String, StoredRefusal>,
 }
 
 /// An input whose dwell runs, although something was written, and why.
@@ -57,15 +61,14 @@ impl History {
     pub fn store(&self, rules: &Rules, moment: &Moment) -> StoredHistory {
         let now = moment.now;
         let monitors = rules.monitors.iter().zip(&self.monitors).enumerate().map(|(index, (rule, record))| {
-            let kept = self.kept.get(&rule.device).and_then(|kept| kept.monitors.iter().find(|(of, _)| *of == index));
-            let record = kept.map_or(record, |(_, record)| record);
+            let record = self.kept.get(&rule.device).and_then(|kept| kept.monitors.get(&index)).unwrap_or(record);
             let allowed = self.allowed_of_monitor(rule);
             (format!("{rule:?}"), record.store(now, allowed, self.since, |reading| reading.is_safe))
         });
         let limits = rules.limits.iter().zip(&self.limits).zip(&self.windows).enumerate();
         let limits = limits.map(|(index, ((rule, record), window))| {
-            let kept = self.kept.get(&rule.device).and_then(|kept| kept.limits.iter().find(|(of, ..)| *of == index));
-            let (record, window) = kept.map_or((record, window), |(_, record, window)| (record, window));
+            let kept = self.kept.get(&rule.device).and_then(|kept| kept.limits.get(&index));
+            let (record, window) = kept.map_or((record, window), |(record, window)| (record, window));
             let record = record.store(now, self.allowed(rule), self.since, |measured| !measured.tripped);
             (format!("{rule:?}"), (record, window.store(now.sky)))
         });
@@ -82,6 +85,7 @@ impl History {
             limits: limits.collect(),
             polls: self.polls.iter().map(|(device, poll)| (device.to_string(), *poll)).collect(),
             stations: devices(rules).iter().filter_map(still).collect(),
+            refused: self.refused.iter().map(|(device, refusal)| (device.to_string(), refusal.store(now))).collect(),
         }
     }
 
@@ -96,7 +100,10 @@ impl History {
         let age = moment.now.machine.since(then.machine);
         let mut whole = devices(rules);
         for device in &whole {
-            self.polls.extend(stored.polls.get(&device.to_string()).map(|poll| ((*device).clone(), *poll)));
+            let name = device.to_string();
+            self.polls.extend(stored.polls.get(&name).map(|poll| ((*device).clone(), *poll)));
+            let refusal = stored.refused.get(&name).map(|refusal| Refusal::of_stored(refusal, then));
+            self.refused.extend(refusal.map(|refusal| ((*device).clone(), refusal)));
         }
         let mut passed_over = Vec::new();
         for (index, rule) in rules.monitors.iter().enumerate() {

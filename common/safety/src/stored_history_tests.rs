@@ -3,92 +3,37 @@
 
 use std::collections::BTreeMap;
 
-use config::Response;
 use contract::device::observing_conditions::Fields;
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::observatory::Verdict;
-use contract::{Address, Datum, DeviceState, Kind, Link};
+use contract::{Datum, Link};
 use proptest::prelude::*;
-use units::SkyTime;
 
 use super::*;
+use crate::fixture::{self, m, wx};
 use crate::judge::{Judgement, judge};
-use crate::measure::Measure;
+use crate::reading::state;
 use crate::recall::PlacedState;
-use crate::rules::{Bounds, LimitRule, MonitorRule};
 
 /// Sky seconds in a machine second.
 const SPEED: f64 = 2.0;
 
 fn at(second: u64) -> Now {
-    // The machine has run for a day.
-    let since_boot = Duration::from_secs(86_400 + second);
-    Now { sky: SkyTime::from_start(since_boot.mul_f64(SPEED)), machine: MachineTime::from_boot(since_boot) }
+    fixture::at(second, SPEED)
 }
 
 fn moment(second: u64) -> Moment {
-    let utc = Utc::from_seconds(1.8e9 + second as f64 * SPEED);
-    Moment { boot: "a".to_owned(), now: at(second), utc, speed: SPEED }
+    fixture::moment(second, SPEED)
 }
 
-fn device(kind: Kind, name: &str) -> Device {
-    Address::new("site", "scope").unwrap().device(kind, &name.parse().unwrap())
-}
-
-fn wind(measure: Measure, required: bool, vote: Option<&str>) -> LimitRule {
-    LimitRule {
-        input: format!("wx/WindSpeed {measure:?} {required}"),
-        device: device(Kind::ObservingConditions, "wx"),
-        parameter: "WindSpeed".to_owned(),
-        measure,
-        bad: Bounds { upper: Some(12.0), lower: None },
-        reopen: Bounds { upper: Some(10.0), lower: None },
-        dwell: Duration::from_secs(200),
-        max_age: Duration::from_secs(15),
-        by_period: false,
-        required,
-        response: Response::Close,
-        vote: vote.map(str::to_owned),
-    }
-}
-
-/// A monitor (5 s allowed) and limits on the wind of all kinds (15 s allowed), each with 100 s of the machine of dwell.
+/// Each with 100 s of the machine of dwell; 5 s are allowed of the monitor.
 fn rules() -> Rules {
-    let monitor = MonitorRule {
-        input: "safetymonitor/m".to_owned(),
-        device: device(Kind::SafetyMonitor, "m"),
-        dwell: Duration::from_secs(200),
-        max_age: Duration::from_secs(5),
-        by_period: false,
-    };
-    let limits = vec![
-        wind(Measure::Value, true, None),
-        wind(Measure::Max(Duration::from_secs(120)), true, None),
-        wind(Measure::Value, false, None),
-        wind(Measure::Value, true, Some("wind")),
-    ];
-    Rules { monitors: vec![monitor], limits, frozen_after: Duration::from_secs(600), ..Rules::default() }
+    fixture::rules(200, 5, 120)
 }
 
-fn state<F>(fields: F) -> DeviceState<F> {
-    DeviceState {
-        link: Link::Connected,
-        busy: false,
-        period_s: 1.0,
-        poll_s: None,
-        last_command: None,
-        fields,
-        readings: BTreeMap::new(),
-    }
-}
-
-/// The air at this second: the pressure always moves, unless the station hangs.
+/// The air at this second, unless the station hangs.
 fn air(second: u64, wind_mps: f64) -> Fields {
-    Fields {
-        wind_mps: Datum::Known(wind_mps),
-        pressure_hpa: Datum::Known(700.0 + second as f64 * 1e-3),
-        ..Fields::default()
-    }
+    fixture::air(second, Datum::Known(wind_mps))
 }
 
 struct Site {
@@ -103,14 +48,13 @@ impl Site {
 
     fn observe(&mut self, second: u64, wind_mps: f64) {
         let is_safe = Datum::Known(wind_mps <= 12.0);
-        let monitor = state(Monitor { is_safe, gapless_safe_s: 0.0 });
-        self.history.observe_monitor(&self.rules, &device(Kind::SafetyMonitor, "m"), &monitor, at(second));
+        let monitor = state(Link::Connected, Monitor { is_safe, gapless_safe_s: 0.0 });
+        self.history.observe_monitor(&self.rules, &m(), &monitor, at(second));
         self.observe_air(second, air(second, wind_mps));
     }
 
     fn observe_air(&mut self, second: u64, fields: Fields) {
-        let wx = device(Kind::ObservingConditions, "wx");
-        self.history.observe_weather(&self.rules, &wx, &state(fields), SPEED, at(second));
+        self.history.observe_weather(&self.rules, &wx(), &state(Link::Connected, fields), SPEED, at(second));
     }
 
     fn judged(&self, second: u64) -> Judgement {
@@ -146,8 +90,7 @@ fn calm_until(second: u64) -> Site {
 fn recall(site: &mut Site, seconds: std::ops::RangeInclusive<u64>, fields: impl Fn(u64) -> Fields) {
     let placed =
         |second| PlacedState { at: at(second), link: Link::Connected, fields: fields(second), ages_s: BTreeMap::new() };
-    let wx = device(Kind::ObservingConditions, "wx");
-    let _ = site.history.recall_weather(&site.rules, &wx, seconds.map(placed).collect(), SPEED);
+    let _ = site.history.recall_weather(&site.rules, &wx(), seconds.map(placed).collect(), SPEED);
 }
 
 #[test]
@@ -159,8 +102,7 @@ fn when_all_nodes_are_restarted_within_the_allowed_age_no_dwell_starts_anew() {
     let judged = site.judged(304);
     assert_eq!((judged.verdict, &judged.reasons), (Verdict::Safe, &Vec::new()));
     assert!(!site.history.all_received(), "the monitor's node was not asked yet");
-    let monitor = device(Kind::SafetyMonitor, "m");
-    site.history.recall_monitor(&site.rules, &monitor, Vec::new());
+    site.history.recall_monitor(&site.rules, &m(), Vec::new());
     assert_eq!(site.judged(304).reasons, [], "a node without a record takes nothing away");
     assert!(site.history.all_received());
     // And once more.

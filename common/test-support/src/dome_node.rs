@@ -1,5 +1,6 @@
 //! The device node of a dome whose telescope has no observatory node any more, as others see it on the bus.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -17,6 +18,8 @@ pub struct DomeNode {
     pub commands: Arc<Mutex<Vec<Command<dome::Command>>>>,
     /// The shutter as it reports it; the guard vouches for one that is closed.
     pub shutter: watch::Sender<Shutter>,
+    /// Commands to close are taken, and the shutter stays where it is.
+    pub sticks: Arc<AtomicBool>,
     _tasks: JoinSet<()>,
     _service: Service,
 }
@@ -53,18 +56,19 @@ impl DomeNode {
                 tokio::time::sleep(Duration::from_millis(200)).await;
             }
         });
-        let (taken, closes) = (commands.clone(), shutter.clone());
+        let (taken, closes, sticks) = (commands.clone(), shutter.clone(), Arc::<AtomicBool>::default());
+        let is_stuck = sticks.clone();
         let key = Key::Command(dome);
         let service = bus.serve(&key, move |command: Result<Command<dome::Command>, String>| {
             let command = command.unwrap();
             let id = command.id.clone();
-            if command.action == dome::Command::CloseShutter {
+            if command.action == dome::Command::CloseShutter && !is_stuck.load(Ordering::Relaxed) {
                 closes.send_replace(Shutter::Closed);
             }
             taken.lock().unwrap().push(command);
             async move { Reply::Accepted(Accepted { id, token: None }) }
         });
-        Self { commands, shutter, _tasks: tasks, _service: service.await.unwrap() }
+        Self { commands, shutter, sticks, _tasks: tasks, _service: service.await.unwrap() }
     }
 }
 

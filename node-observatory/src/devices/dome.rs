@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use bus::Latest;
+use bus::{Latest, MachineTime};
 use config::{CloseWithMount, Follow};
 use contract::device::dome::{self, Command, Guard, Shutter};
 use contract::{CommandOutcome, Device, Key, Reason};
@@ -56,6 +56,8 @@ pub struct ParkSight {
 
 /// A guard that published nothing for so long is not there.
 const GUARD_AGE: Duration = Duration::from_secs(5);
+/// What may pass is looked at again after this time.
+const AGAIN: Duration = Duration::from_millis(300);
 
 impl Dome {
     /// Subscribes to a dome; `own` is its block, if it is in this telescope's own file.
@@ -149,14 +151,32 @@ impl Dome {
         !is_proven
     }
 
-    /// Opens the shutter and waits until it is open; ends a hold of the guard first.
-    pub async fn open(&self) -> Result<(), ActionError> {
-        if self.shutter() == Some(Shutter::Open) {
-            return Ok(());
-        }
-        self.end_hold().await?;
-        self.was_opened.store(true, Ordering::Relaxed);
-        let id = self.ask_until_permitted().await?;
+    /// Opens the shutter and waits until it is open; ends a hold of the guard first. Nothing is sent before `may` gives
+    /// true, which is asked before each try; its error ends the opening.
+    ///
+    /// The permit that says "safe" may be a second behind the verdict, and a closing that has begun goes to its end first:
+    /// such refusals are asked again.
+    pub async fn open(&self, may: impl Fn() -> Result<bool, ActionError>) -> Result<(), ActionError> {
+        let clock = self.instrument.clock();
+        let most = command_timeout(clock, self.travel) + Duration::from_secs(15);
+        let mut refused: Option<MachineTime> = None;
+        let id = loop {
+            // One that refuses may be open and about to close.
+            if refused.is_none() && self.shutter() == Some(Shutter::Open) {
+                return Ok(());
+            }
+            if may()? {
+                self.end_hold().await?;
+                self.was_opened.store(true, Ordering::Relaxed);
+                match self.instrument.ask(Command::OpenShutter).await {
+                    Err(ActionError::Refused {
+                        reason: Reason::NoPermit | Reason::WrongState | Reason::Busy, ..
+                    }) if clock.machine().since(*refused.get_or_insert(clock.machine())) < most => {}
+                    asked => break asked?,
+                }
+            }
+            tokio::time::sleep(AGAIN).await;
+        };
         let open = |received: &bus::Received<contract::DeviceState<dome::Fields>>| {
             let state = &received.sample.body;
             if let Some(last) = state.last_command.as_ref().filter(|last| last.id == id)
@@ -171,7 +191,7 @@ impl Dome {
             }
             (state.fields.shutter.known() == Some(&Shutter::Open)).then_some(Ok(()))
         };
-        self.instrument.until(command_timeout(self.instrument.clock(), self.travel), "open", open).await?
+        self.instrument.until(command_timeout(clock, self.travel), "open", open).await?
     }
 
     async fn end_hold(&self) -> Result<(), ActionError> {
@@ -181,22 +201,81 @@ impl Dome {
         }
         Ok(())
     }
+}
 
-    /// The permit that says "safe" may be a second behind the verdict, and a closing that has begun goes to its end
-    /// first: such refusals are asked again.
-    async fn ask_until_permitted(&self) -> Result<contract::CommandId, ActionError> {
-        let started = self.instrument.clock().machine();
-        let most = command_timeout(self.instrument.clock(), self.travel) + Duration::from_secs(15);
-        loop {
-            match self.instrument.ask(Command::OpenShutter).await {
-                Err(ActionError::Refused { reason: Reason::NoPermit | Reason::WrongState | Reason::Busy, .. })
-                    if self.instrument.clock().machine().since(started) < most =>
-                {
-                    tokio::time::sleep(Duration::from_millis(300)).await;
-                    self.end_hold().await?;
-                }
-                asked => return asked,
-            }
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::AtomicUsize;
+
+    use bus::Clock;
+    use contract::{Accepted, Address, CommandId, Datum, DeviceState, Kind, Link, Refusal, Reply};
+    use test_support::{LIMIT, join, private_bus};
+    use tokio::sync::watch;
+
+    use super::*;
+    use crate::hold::Hold;
+
+    fn state(shutter: Shutter) -> DeviceState<dome::Fields> {
+        DeviceState {
+            link: Link::Connected,
+            busy: false,
+            period_s: 1.0,
+            poll_s: None,
+            last_command: None,
+            fields: dome::Fields { shutter: Datum::Known(shutter), ..dome::Fields::default() },
+            readings: Default::default(),
         }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn while_something_keeps_it_shut_nothing_is_sent_also_after_a_refusal() {
+        let bus = private_bus(Clock::machine_clock()).await;
+        let device = Address::new("test", "alpha").unwrap().device(Kind::Dome, &"roof".parse().unwrap());
+        let key = Key::State(device.clone());
+        let states = Arc::new(bus.publisher::<DeviceState<dome::Fields>>(&key).await.unwrap());
+        // How often was looked before each of the commands to open, of which it refuses the first.
+        let (looks, sent) = (Arc::<AtomicUsize>::default(), Arc::<Mutex<Vec<(CommandId, usize)>>>::default());
+        let (looked, taken, opens) = (looks.clone(), sent.clone(), states.clone());
+        let answer = move |command: Result<contract::Command<Command>, String>| {
+            let (command, opens) = (command.unwrap(), opens.clone());
+            let (id, is_opening) = (command.id, command.action == Command::OpenShutter);
+            let mut taken = taken.lock().unwrap();
+            // One whose answer is late comes again.
+            if is_opening && taken.iter().all(|(known, _)| *known != id) {
+                taken.push((id.clone(), looked.load(Ordering::Relaxed)));
+            }
+            let is_refused = taken.first().is_some_and(|(first, _)| *first == id);
+            drop(taken);
+            async move {
+                if is_refused {
+                    return Reply::Refusal(Refusal { id, reason: Reason::Busy, detail: "it closes".to_owned() });
+                }
+                if is_opening {
+                    opens.put(state(Shutter::Open)).await.unwrap();
+                }
+                Reply::Accepted(Accepted { id, token: None })
+            }
+        };
+        let _service = bus.serve(&Key::Command(device.clone()), answer).await.unwrap();
+        let command_sender = CommandSender {
+            bus: join(&bus).await,
+            signature: "observatory/alpha/main".to_owned(),
+            lease: watch::channel(Hold::Standby).1,
+            doubt: Arc::default(),
+        };
+        let dome = Dome::listen(&command_sender, device, None).await.unwrap();
+        states.put(state(Shutter::Closed)).await.unwrap();
+        let meet = async {
+            while dome.instrument.ask(Command::Abort).await.is_err() {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        };
+        tokio::time::timeout(LIMIT, meet).await.unwrap();
+        // Each second look finds nothing that keeps it shut.
+        let may = || Ok(looks.fetch_add(1, Ordering::Relaxed) % 2 == 1);
+        tokio::time::timeout(LIMIT, dome.open(may)).await.unwrap().unwrap();
+        let looks: Vec<usize> = sent.lock().unwrap().iter().map(|(_, looks)| *looks).collect();
+        assert_eq!(looks, [2, 4]);
     }
 }

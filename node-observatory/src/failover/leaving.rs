@@ -52,8 +52,12 @@ pub async fn close_first(authority: Arc<Authority>, leaves_alone: Arc<AtomicBool
         // A guard need not wait until the last permit has run out.
         leaves_alone.store(true, Ordering::Relaxed);
         if !is_closed {
+            let domes: Vec<String> = authority.node.config.enclosures().iter().map(ToString::to_string).collect();
             tracing::error!(
-                "not verified closed; the permit is withdrawn, and the guards of the enclosures go on closing"
+                domes = %domes.join(", "),
+                within_s = CLOSE_WITHIN.as_secs(),
+                "not verified closed in time; the permit is withdrawn, and the guard of each dome goes on to ask it to close \
+                 until that is verified, as long as the dome's device node runs"
             );
             tokio::time::sleep(WITHDRAWN).await;
         }

@@ -1,5 +1,6 @@
 //! Opening as the site's script has it; whatever fails in it is closed by default.
 
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use contract::device::cover_calibrator::Cover;
@@ -20,7 +21,8 @@ const CLOSED: Duration = Duration::from_secs(300);
 /// Opens, unless everything is open already.
 ///
 /// # Errors
-/// When the script or a device fails, or it is not ready in time; everything was then ordered to close.
+/// When the script or a device fails, it is not ready in time, or nothing may be opened any more; everything was then
+/// ordered to close.
 pub async fn open(opener: &Opener, chain: &Chain<'_>, script: &Script) -> Result<(), ActionError> {
     if is_open(opener, chain) {
         return Ok(());
@@ -67,6 +69,8 @@ struct Opening<'a> {
 struct OpeningFunction<'a> {
     opening: &'a Opening<'a>,
     function: Function,
+    /// Why nothing may be opened now, if that is so.
+    not_safe: OnceLock<String>,
 }
 
 impl Opening<'_> {
@@ -78,7 +82,11 @@ impl Opening<'_> {
         let limit = seconds(self.opener.authority.node.config.hooks.time_limit_s);
         let most = command_timeout(self.opener.authority.node.bus.clock(), limit);
         tracing::info!(function = function.name(), "the site's script");
-        let result = self.script.call(function, most, &OpeningFunction { opening: self, function }).await;
+        let under_way = OpeningFunction { opening: self, function, not_safe: OnceLock::new() };
+        let result = self.script.call(function, most, &under_way).await;
+        if let Some(error) = no_fault(&result, under_way.not_safe.into_inner()) {
+            return Err(error);
+        }
         host::reported(&self.opener.authority, function, result)
     }
 
@@ -107,6 +115,11 @@ impl Opening<'_> {
     }
 }
 
+/// The failure of a function that is none of the script: nothing may be opened now. It passes, and is no alert.
+fn no_fault<T>(result: &Result<T, CallError>, not_safe: Option<String>) -> Option<ActionError> {
+    not_safe.filter(|_| matches!(result, Err(CallError::Failed(_)))).map(ActionError::NotSafe)
+}
+
 impl Host for OpeningFunction<'_> {
     async fn answer(&self, request: Request) -> HostAnswer {
         let Opening { opener, chain, .. } = *self.opening;
@@ -117,6 +130,26 @@ impl Host for OpeningFunction<'_> {
             Request::Unpark if self.function == Function::Open => super::unpark(opener, chain).await,
             other => return host::answer(&opener.authority, &opener.devices, self.function, other).await,
         };
+        if let Err(ActionError::NotSafe(why)) = &done {
+            // The first reason is the one that counts.
+            let _ = self.not_safe.set(why.clone());
+        }
         done.map(|()| Reply::Done).map_err(|error| error.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dome_that_is_kept_shut_is_no_fault_of_the_script() {
+        let failed = || Err::<(), _>(CallError::Failed("nothing is opened (line 1, position 14)".to_owned()));
+        let kept_shut = || Some("safetymonitor/m: what it published is not known".to_owned());
+        let error = no_fault(&failed(), kept_shut()).unwrap();
+        assert!(matches!(&error, ActionError::NotSafe(_)) && error.may_pass(), "{error}");
+        assert!(no_fault(&failed(), None).is_none(), "it failed by itself");
+        assert!(no_fault(&Err::<(), _>(CallError::Late { after_s: 600.0 }), kept_shut()).is_none(), "and went on");
+        assert!(no_fault(&Ok(()), kept_shut()).is_none(), "it knew how to go on");
     }
 }

@@ -1,4 +1,5 @@
-//! Opening: the slit to where the telescope looks, the roof, then cover and mount, each only while the sky stays safe.
+//! Opening: the slit to where the telescope looks, the roof, then cover and mount, each only while the sky stays safe. A
+//! dome that is shut waits until it is known what was missed of the safety inputs.
 //!
 //! A site's script may wrap it or replace it ([`crate::hooks`]).
 
@@ -7,7 +8,10 @@ mod by_script;
 use std::sync::Arc;
 
 use contract::device::dome::Shutter::Open;
+use contract::observatory::Unsafe;
+use safety::current_verdict::CurrentVerdict;
 use schedule::plan::overheads::{TOOK, TimedPart};
+use tokio::sync::watch;
 
 use crate::action_error::ActionError;
 use crate::authority::Authority;
@@ -33,10 +37,15 @@ pub struct Opener {
 /// The runner drops this as soon as the sky is not safe.
 pub async fn open(opener: &Opener, chain: &Chain<'_>) -> Result<(), ActionError> {
     only_while_safe(opener)?;
+    let is_open = || opener.devices.domes.iter().all(|dome| dome.shutter() == Some(Open));
+    let (clock, was_shut) = (opener.authority.node.bus.clock(), !is_open());
+    if was_shut {
+        // Here, because it is no time of the site's script: it may take a dwell.
+        until_known(opener.authority.verdict.clone(), opener.devices.stirred(), is_open).await;
+        only_while_safe(opener)?;
+    }
     // A pending close request gives way to what is observed now.
     opener.authority.close_request.send_if_modified(|request| request.take().is_some());
-    let (clock, was_shut) =
-        (opener.authority.node.bus.clock(), opener.devices.domes.iter().any(|dome| dome.shutter() != Some(Open)));
     let began = clock.utc();
     match opener.site.hooks.script()? {
         Some(script) => by_script::open(opener, chain, script).await?,
@@ -63,7 +72,11 @@ pub async fn open_domes(opener: &Opener) -> Result<(), ActionError> {
     for dome in &opener.devices.domes {
         only_while_safe(opener)?;
         slit::turn_before_opening(&opener.slits, dome).await?;
-        dome.open().await?;
+        dome.open(|| {
+            only_while_safe(opener)?;
+            may_open(&opener.authority.verdict.borrow())
+        })
+        .await?;
     }
     Ok(())
 }
@@ -91,4 +104,102 @@ fn only_while_safe(opener: &Opener) -> Result<(), ActionError> {
         return Ok(());
     }
     Err(ActionError::NotSafe(opener.authority.verdict.borrow().why()))
+}
+
+/// May a shut dome be opened? Not yet, while a device node is asked for what was missed.
+///
+/// # Errors
+/// Where a dwell runs over what is not known: too long for a device or a script to wait, so that opening begins anew.
+fn may_open(verdict: &CurrentVerdict) -> Result<bool, ActionError> {
+    // Of an answer nobody knows when it comes.
+    match verdict.keeps_shut.iter().find(|reason| reason.clears_in_s.is_some()) {
+        Some(reason) => Err(ActionError::NotSafe(in_words(reason))),
+        None => Ok(verdict.keeps_shut.is_empty()),
+    }
+}
+
+fn in_words(reason: &Unsafe) -> String {
+    format!("{}: {}", reason.input, reason.why)
+}
+
+/// Waits until nothing keeps a shut dome shut: an answer about what was missed has come, or its dwell has run again. Or
+/// until all are known to be open, since the state of one may be unknown for a moment.
+async fn until_known(
+    mut verdict: watch::Receiver<CurrentVerdict>,
+    mut stirred: watch::Receiver<u64>,
+    is_open: impl Fn() -> bool,
+) {
+    let mut is_told = false;
+    loop {
+        let why = verdict.borrow_and_update().keeps_shut.first().map(in_words);
+        let Some(why) = why.filter(|_| !is_open()) else { return };
+        if !std::mem::replace(&mut is_told, true) {
+            tracing::info!(why, "opening waits");
+        }
+        tokio::select! {
+            changed = verdict.changed() => {
+                if changed.is_err() {
+                    // The safety loop has ended, and its node ends with it.
+                    return std::future::pending().await;
+                }
+            }
+            Ok(()) = stirred.changed() => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::time::Duration;
+
+    use futures_util::FutureExt as _;
+    use units::{MachineTime, Utc};
+
+    use super::*;
+
+    fn keeps_shut(clears_in_s: Option<f64>) -> Unsafe {
+        Unsafe { input: "safetymonitor/m".to_owned(), why: "it is not known".to_owned(), clears_in_s }
+    }
+
+    fn verdict() -> CurrentVerdict {
+        CurrentVerdict::none(MachineTime::from_boot(Duration::from_secs(100)), Utc::EPOCH)
+    }
+
+    #[test]
+    fn opening_waits_until_it_is_known_what_was_missed_or_that_all_is_open() {
+        let ((sender, verdict), (stir, stirred)) = (watch::channel(verdict()), watch::channel(0));
+        let is_open = &AtomicBool::new(false);
+        let wait = || Box::pin(until_known(verdict.clone(), stirred.clone(), move || is_open.load(Ordering::Relaxed)));
+        assert_eq!(wait().now_or_never(), Some(()));
+        sender.send_modify(|verdict| verdict.keeps_shut.push(keeps_shut(None)));
+        let (mut answered, mut opened) = (wait(), wait());
+        assert_eq!(answered.as_mut().now_or_never(), None);
+        sender.send_modify(|verdict| verdict.keeps_shut.clear());
+        assert_eq!(answered.as_mut().now_or_never(), Some(()));
+
+        sender.send_modify(|verdict| verdict.keeps_shut.push(keeps_shut(Some(1200.0))));
+        assert_eq!(opened.as_mut().now_or_never(), None);
+        // Its state was unknown for a moment.
+        is_open.store(true, Ordering::Relaxed);
+        stir.send_modify(|count| *count += 1);
+        assert_eq!(opened.as_mut().now_or_never(), Some(()));
+
+        is_open.store(false, Ordering::Relaxed);
+        let mut ended = wait();
+        drop(sender);
+        assert_eq!(ended.as_mut().now_or_never(), None, "without a safety loop nothing is opened");
+    }
+
+    #[test]
+    fn an_answer_is_waited_for_before_each_command_and_a_dwell_begins_opening_anew() {
+        let mut verdict = verdict();
+        assert!(matches!(may_open(&verdict), Ok(true)));
+        verdict.keeps_shut.push(keeps_shut(None));
+        assert!(matches!(may_open(&verdict), Ok(false)));
+        verdict.keeps_shut.push(keeps_shut(Some(1200.0)));
+        let error = may_open(&verdict).unwrap_err();
+        assert!(error.may_pass(), "it is tried again");
+        assert_eq!(error.to_string(), "nothing is opened: safetymonitor/m: it is not known");
+    }
 }

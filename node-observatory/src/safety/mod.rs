@@ -2,6 +2,7 @@
 //! both.
 
 mod clock_file;
+mod failed_questions;
 mod record_file;
 mod subscribers;
 pub mod task;

@@ -5,11 +5,11 @@
 
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::Duration;
 
 use bus::MachineTime;
 use contract::Name;
+use node::file_writer::{self, FileWriter};
 use safety::stored_history::StoredHistory;
 
 /// It is written so often.
@@ -17,7 +17,7 @@ const EVERY: Duration = Duration::from_millis(900);
 
 /// The file, written by a thread of its own: a disk that hangs delays no verdict.
 pub struct RecordFile {
-    writer: SyncSender<StoredHistory>,
+    writer: FileWriter<StoredHistory>,
     written: Option<MachineTime>,
 }
 
@@ -38,18 +38,8 @@ pub fn read(path: &Path) -> Result<Option<StoredHistory>, String> {
 impl RecordFile {
     /// Starts the thread that writes it.
     pub fn open(path: PathBuf) -> Self {
-        let (writer, to_write) = sync_channel::<StoredHistory>(1);
-        std::thread::spawn(move || {
-            let mut fails = false;
-            for history in to_write {
-                let written = write(&path, &history);
-                if let (Err(error), false) = (&written, fails) {
-                    let file = path.display();
-                    tracing::warn!(%file, %error, "after a restart of this node and of device nodes the dwell would run");
-                }
-                fails = written.is_err();
-            }
-        });
+        let consequence = "after a restart of this node and of device nodes the dwell would run";
+        let writer = file_writer::start(path, 1, consequence, |path, history| write(path, &history));
         Self { writer, written: None }
     }
 
@@ -58,7 +48,7 @@ impl RecordFile {
         if self.written.is_none_or(|written| now.since(written) >= EVERY) {
             self.written = Some(now);
             // While the disk is slow, the next one is.
-            let _ = self.writer.try_send(history());
+            self.writer.write(history());
         }
     }
 }

@@ -2,14 +2,14 @@
 //!
 //! Live states go on at once. In addition, a subscriber asks the device node for its record wherever states were
 //! missed: at the first one from it, and after each hole, which a restart of the device node, a cut link or a stall of
-//! this node has left. So nobody need wait again for what is known.
+//! this node has left. So nobody need wait again for what is known. A dome that is shut waits for the answer.
 
 use std::future::Future;
 use std::pin::Pin;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use bus::{Bus, Catch, Clock, MachineTime, Received, Subscriber};
+use bus::{AskError, Bus, Catch, Clock, MachineTime, Received, Subscriber};
 use contract::device::observing_conditions::Fields as Weather;
 use contract::device::record::{RecordQuestion, StateRecord};
 use contract::device::safety_monitor::Fields as Monitor;
@@ -18,11 +18,13 @@ use contract::observatory::AlertKind;
 use contract::{Device, DeviceState, Key, Kind, Link, Payload, Stamped};
 use node::Node;
 use safety::history::Now;
-use safety::recall::{Asked, PlacedState, Recall};
+use safety::missed::Hole;
+use safety::recall::{Asked, NotTaken, PlacedState, Recall};
 use safety::rules::Rules;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
+use super::failed_questions::FailedQuestions;
 use super::writers::{self, Manners, Writers};
 
 /// What a subscriber passes on.
@@ -37,12 +39,15 @@ pub enum Word {
 
 /// What is heard of a device.
 pub enum Heard<F> {
-    /// States were missed before the next one.
-    Hole,
+    /// States were missed before the next one, and their node is asked.
+    Hole(Hole),
     /// A state.
     State(Box<DeviceState<F>>, Now),
-    /// All states since the hole began, those that were missed among them; empty if there is no record of them.
+    /// All states since the hole began, those that were missed among them.
     Recalled(Vec<PlacedState<F>>),
+    /// There is no record of them, or one that says something against what was received: then what, and when that was
+    /// known.
+    NoRecord(Option<(String, Now)>),
 }
 
 /// How a subscriber handles the devices of a kind.
@@ -51,8 +56,8 @@ struct Handling<F> {
     word: fn(Device, Heard<F>) -> Word,
 }
 
-/// A device node is asked for its record so often, after these pauses: one that was just found may not be known to
-/// answer yet, and an answer may be lost or late.
+/// A device node is asked for its record so often for each hole, after these pauses and one that grows with the holes that
+/// it does not explain: one that was just found may not be known to answer yet, and an answer may be lost or late.
 const TRIES_MS: [u64; 3] = [0, 300, 800];
 /// An answer that takes longer is none; with the pauses before the end of the safety loop's grace.
 const TIMEOUT: Duration = Duration::from_millis(1200);
@@ -112,15 +117,16 @@ async fn listen<F: Payload + PartialEq>(
                     if !taken {
                         continue;
                     }
-                    let (at, body) = (arrival(bus.clock(), received.arrived), received.sample.body);
-                    if past.observe(published, &body.link, at)
-                        && words.send((handling.word)(device.clone(), Heard::Hole)).await.is_err()
+                    let Some(at) = arrival(bus.clock(), received.arrived) else { continue };
+                    let body = received.sample.body;
+                    if let Some(hole) = past.observe(published, &body.link, at)
+                        && words.send((handling.word)(device.clone(), Heard::Hole(hole))).await.is_err()
                     {
                         return;
                     }
                     Heard::State(Box::new(body), at)
                 }
-                states = past.states() => Heard::Recalled(states),
+                heard = past.answered() => heard,
             };
             if words.send((handling.word)(device.clone(), heard)).await.is_err() {
                 return;
@@ -129,13 +135,20 @@ async fn listen<F: Payload + PartialEq>(
     })
 }
 
-/// Both times of an arrival: what waited in the queue is as old as it is.
-fn arrival(clock: &Clock, arrived: MachineTime) -> Now {
-    let queued = clock.machine().since(arrived).mul_f64(clock.speed());
-    Now { sky: clock.sky().minus(queued), machine: arrived }
+/// Both times now.
+pub fn now(clock: &Clock) -> Now {
+    Now { sky: clock.sky(), machine: clock.machine() }
 }
 
-type RecordAnswer<F> = Result<(StateRecord<F>, Asked), String>;
+/// Both times of an arrival: what waited in the queue is as old as it is. What was held since before this machine was
+/// started would look as young as the machine, so it has none.
+fn arrival(clock: &Clock, arrived: MachineTime) -> Option<Now> {
+    let queued = clock.machine().since(arrived).mul_f64(clock.speed());
+    let is_of_this_boot = arrived > MachineTime::from_boot(Duration::ZERO);
+    is_of_this_boot.then(|| Now { sky: clock.sky().minus(queued), machine: arrived })
+}
+
+type RecordAnswer<F> = Result<(StateRecord<F>, Asked), AskError>;
 
 /// What was missed of a device, and the question for it.
 struct PastStates<F> {
@@ -143,64 +156,97 @@ struct PastStates<F> {
     device: Device,
     back: Duration,
     recall: Recall<F>,
+    failed: FailedQuestions,
+    /// What the last answer to this question that was one said against what was received.
+    refused: Option<String>,
     tries: std::slice::Iter<'static, u64>,
     asking: Option<Pin<Box<dyn Future<Output = RecordAnswer<F>> + Send>>>,
 }
 
 impl<F: Payload + PartialEq> PastStates<F> {
     fn new(bus: Bus, device: Device, back: Duration) -> Self {
-        Self { bus, device, back, recall: Recall::default(), tries: [].iter(), asking: None }
+        let (recall, failed) = (Recall::default(), FailedQuestions::default());
+        Self { bus, device, back, recall, failed, refused: None, tries: [].iter(), asking: None }
     }
 
-    /// A live state as its node published it, and what this node makes of its link; true where a hole ends with it, and
-    /// the node is asked.
-    fn observe(&mut self, published: Stamped<DeviceState<F>>, link: &Link, at: Now) -> bool {
+    /// A live state as its node published it, and what this node makes of its link; gives the hole that ends with it, for
+    /// which the node is asked.
+    fn observe(&mut self, published: Stamped<DeviceState<F>>, link: &Link, at: Now) -> Option<Hole> {
         let body = DeviceState { link: link.clone(), ..published.body };
-        let has_missed = self.recall.observe(&Stamped { body, ..published }, at);
-        if has_missed {
-            self.tries = TRIES_MS.iter();
-            self.ask();
+        if !self.recall.observe(&Stamped { body, ..published }, at) {
+            return None;
         }
-        has_missed
+        self.tries = TRIES_MS.iter();
+        self.refused = None;
+        self.ask();
+        self.recall.hole()
+    }
+
+    /// The pause before the next question, if there is to be one.
+    fn pause(&mut self, now: MachineTime) -> Option<Duration> {
+        let pause_ms = self.tries.next()?;
+        Some(self.failed.pause(now) + Duration::from_millis(*pause_ms))
     }
 
     fn ask(&mut self) {
-        let Some(pause_ms) = self.tries.next() else { return };
-        let (bus, device, pause) = (self.bus.clone(), self.device.clone(), Duration::from_millis(*pause_ms));
-        let now = arrival(bus.clock(), bus.clock().machine());
-        let question = RecordQuestion { back_s: self.recall.back(now, self.back, bus.clock().speed()).as_secs_f64() };
+        let (bus, device) = (self.bus.clone(), self.device.clone());
+        let (now, speed) = (now(bus.clock()), bus.clock().speed());
+        let Some(pause) = self.pause(now.machine) else { return };
+        let then = Now { sky: now.sky.plus(pause.mul_f64(speed)), machine: now.machine.plus(pause) };
+        let question = RecordQuestion { back_s: self.recall.back(then, self.back, speed).as_secs_f64() };
         self.asking = Some(Box::pin(async move {
             tokio::time::sleep(pause).await;
             let asked = bus.clock().machine();
-            let record = bus.ask(&Key::Record(device), &question, TIMEOUT).await.map_err(|error| error.to_string())?;
-            let answered = arrival(bus.clock(), bus.clock().machine());
-            Ok((record, Asked { at: asked, answered, speed: bus.clock().speed() }))
+            let record = bus.ask(&Key::Record(device), &question, TIMEOUT).await?;
+            Ok((record, Asked { at: asked, answered: self::now(bus.clock()), speed }))
         }));
     }
 
-    /// Waits for all states since the hole; empty if there is no record of them, or none that can be taken.
+    /// Waits for all states since the hole, or until it is known that there is no record of them that can be taken.
     ///
     /// May be dropped and called again.
-    async fn states(&mut self) -> Vec<PlacedState<F>> {
+    async fn answered(&mut self) -> Heard<F> {
         loop {
             let Some(asking) = &mut self.asking else { std::future::pending().await };
             let answer = asking.as_mut().await;
             self.asking = None;
-            let refused = match answer.and_then(|(record, asked)| self.recall.place(&record, asked)) {
-                Ok(states) => {
-                    tracing::info!(device = %self.device, states = states.len(), "its node recorded what was missed");
+            let placed = answer.map(|(record, asked)| self.recall.place(&record, asked));
+            let is_silence = matches!(placed, Err(AskError::Unknown { .. }) | Ok(Err(NotTaken::Untimely(_))));
+            let why = match placed {
+                Ok(Ok(states)) => {
                     self.recall.close();
-                    return states;
+                    let failed_before = self.failed.end();
+                    let device = &self.device;
+                    tracing::info!(%device, states = states.len(), failed_before, "its node recorded what was missed");
+                    return Heard::Recalled(states);
                 }
-                Err(why) => why,
+                Ok(Err(NotTaken::Untimely(why) | NotTaken::Contradicts(why))) => why,
+                Err(error) => error.to_string(),
             };
+            if !is_silence {
+                self.refused = Some(why.clone());
+            }
             self.ask();
             if self.asking.is_none() {
-                tracing::warn!(device = %self.device, why = refused, "no record of what was missed: it was silence");
                 self.recall.close();
-                return Vec::new();
+                return Heard::NoRecord(self.fail(&why));
             }
         }
+    }
+
+    /// Nothing is to be had; gives what an answer said against what was received, if one did. Of a run of failures the first
+    /// is logged.
+    fn fail(&mut self, why: &str) -> Option<(String, Now)> {
+        let (now, device) = (now(self.bus.clock()), &self.device);
+        let refused = self.refused.take();
+        match (self.failed.fail(now.machine), &refused) {
+            (true, Some(why)) => {
+                tracing::warn!(%device, why, "what was missed is not known: a shut dome waits its dwell after it");
+            }
+            (true, None) => tracing::warn!(%device, why, "no record of what was missed: it was silence"),
+            (false, _) => tracing::debug!(%device, why, "again no record of what was missed"),
+        }
+        refused.map(|why| (why, now))
     }
 }
 
@@ -209,21 +255,15 @@ mod tests {
     use bus::{Publisher, Quality, Service};
     use contract::device::record::{EarlierStates, StateEntry};
     use contract::{BootId, Datum, Role};
+    use futures_util::FutureExt as _;
+    use safety::reading::state;
     use serde_json::Value;
     use test_support::{ALPHA, LIMIT, block, join, private_bus};
 
     use super::*;
 
-    fn state() -> DeviceState<Monitor> {
-        DeviceState {
-            link: Link::Connected,
-            busy: false,
-            period_s: 1.0,
-            poll_s: None,
-            last_command: None,
-            fields: Monitor { is_safe: Datum::Known(true), gapless_safe_s: 7.0 },
-            readings: Default::default(),
-        }
+    fn safe() -> DeviceState<Monitor> {
+        state(Link::Connected, Monitor { is_safe: Datum::Known(true), gapless_safe_s: 7.0 })
     }
 
     /// A device node that publishes one state, and answers with it after those that an earlier incarnation published.
@@ -241,7 +281,7 @@ mod tests {
                     age_s: clock.machine().since(*at).as_secs_f64(),
                     reading_ages_s: Default::default(),
                     link: Link::Connected,
-                    fields: state().fields,
+                    fields: safe().fields,
                 };
                 (0..).zip(times).map(entry).collect::<Vec<_>>()
             };
@@ -256,7 +296,7 @@ mod tests {
         let service = bus.serve::<RecordQuestion, Value, _, _>(&Key::Record(device.clone()), answer).await.unwrap();
         let key = Key::State(device.clone());
         let states = bus.publisher_as(&key, Quality::State { cache: 1 }).await.unwrap();
-        states.put(state()).await.unwrap();
+        states.put(safe()).await.unwrap();
         (states, service)
     }
 
@@ -267,7 +307,7 @@ mod tests {
             Word::Monitor(_, heard) => heard,
             Word::Weather(..) | Word::Switch(..) => panic!("there is no such device"),
         };
-        assert!(matches!(next().await, Heard::Hole));
+        assert!(matches!(next().await, Heard::Hole(_)));
         let Heard::State(state, _) = next().await else { panic!("no state") };
         let Heard::Recalled(states) = next().await else { panic!("not asked") };
         (states.len(), state.fields.gapless_safe_s)
@@ -295,5 +335,70 @@ mod tests {
         let earlier = Some((boot_id, vec![began, second.clock().machine()]));
         let _running = device_node(&second, &device, earlier).await;
         assert_eq!(after_a_hole(&mut received).await, (2, 0.0), "the one that was missed, and the first one after it");
+    }
+
+    #[test]
+    fn what_was_held_since_before_the_boot_of_this_host_has_no_time() {
+        let clock = Clock::machine_clock();
+        assert_eq!(arrival(&clock, MachineTime::from_boot(Duration::ZERO)), None);
+        assert_eq!(arrival(&clock, clock.machine()).map(|at| at.machine <= clock.machine()), Some(true));
+    }
+
+    fn monitor() -> Device {
+        contract::Address::new("s", "t").unwrap().device(Kind::SafetyMonitor, &"m".parse().unwrap())
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn an_answer_that_contradicts_is_told_and_the_next_question_waits() {
+        let device = monitor();
+        let bus = private_bus(Clock::machine_clock()).await;
+        let other = join(&bus).await;
+        let _running = device_node(&other, &device, None).await;
+        let states: Subscriber<DeviceState<Monitor>> =
+            bus.subscribe(&Key::State(device.clone()).to_string(), Catch::Newest, 4).await.unwrap();
+        let mut sample = tokio::time::timeout(LIMIT, states.recv()).await.unwrap().sample;
+        // Its record ends before.
+        sample.seq = 5;
+        let mut past = PastStates::<Monitor>::new(bus.clone(), device, Duration::from_secs(600));
+        assert!(past.observe(sample, &Link::Connected, now(bus.clock())).is_some());
+        let heard = tokio::time::timeout(LIMIT, past.answered()).await.unwrap();
+        let Heard::NoRecord(Some((why, at))) = heard else { panic!("its answer contradicts what was received") };
+        assert_eq!(why, "it does not reach the first state that was received here");
+        past.tries = TRIES_MS.iter();
+        assert_eq!(past.pause(at.machine), Some(Duration::from_secs(1)));
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn only_an_answer_against_what_was_received_is_more_than_silence() {
+        let bus = private_bus(Clock::machine_clock()).await;
+        let (key, boot_id, at) = (|| "a key".to_owned(), BootId::fresh(), now(bus.clock()));
+        let sample =
+            |boot_id| Stamped { boot_id, seq: 5, at_utc: units::Utc::EPOCH, sent_s: None, held_s: None, body: safe() };
+        let answer = |boot_id: &BootId, took: Duration| {
+            let (link, fields) = (Link::Connected, safe().fields);
+            let entry =
+                StateEntry { seq: 5, age_s: took.as_secs_f64(), reading_ages_s: Default::default(), link, fields };
+            let record =
+                StateRecord { boot_id: boot_id.clone(), speed: 1.0, entries: vec![entry], earlier: Vec::new() };
+            let answered = Now { sky: at.sky.plus(took), machine: at.machine.plus(took) };
+            Ok((record, Asked { at: at.machine, answered, speed: 1.0 }))
+        };
+        let rows: [(RecordAnswer<Monitor>, bool); 5] = [
+            (Err(AskError::Unknown { key: key(), timeout_s: 1.2 }), false),
+            (answer(&boot_id, Duration::from_secs(2)), false),
+            (answer(&BootId::fresh(), Duration::ZERO), true),
+            (Err(AskError::Contested { key: key(), count: 2 }), true),
+            (Err(AskError::Unreadable { key: key(), detail: "half of it".to_owned() }), true),
+        ];
+        for (answer, is_more) in rows {
+            let words = format!("{answer:?}");
+            let mut past = PastStates::<Monitor>::new(bus.clone(), monitor(), Duration::from_secs(600));
+            assert!(past.observe(sample(boot_id.clone()), &Link::Connected, at).is_some());
+            // The only answer, in place of one by the bus.
+            past.asking = Some(Box::pin(async move { answer }));
+            past.tries = [].iter();
+            let Some(Heard::NoRecord(refused)) = past.answered().now_or_never() else { panic!("{words}") };
+            assert_eq!(refused.is_some(), is_more, "{words}");
+        }
     }
 }

@@ -12,7 +12,6 @@ use node::Node;
 use safety::active_orders::ActiveOrders;
 use safety::clocks::{self, Doubt};
 use safety::current_verdict::CurrentVerdict;
-use safety::history::Now;
 use safety::judge::{Judgement, judge};
 use safety::received::History;
 use safety::rules::Rules;
@@ -22,7 +21,7 @@ use tokio::sync::watch;
 
 use super::clock_file::ClockFile;
 use super::record_file::{self, RecordFile};
-use super::subscribers::{self, Heard, Word};
+use super::subscribers::{self, Heard, Word, now};
 use super::verdict_file;
 
 /// So long after its start, a node may lack a value of an input before that counts.
@@ -77,7 +76,7 @@ pub async fn keep_judging(
         history.sun = sun.stands(utc, &doubts);
         let (earliest, latest) = clocks::between(utc, &doubts);
         let effective = orders.borrow_and_update().applied_between(&rules, earliest, latest);
-        let judgement = judge(&effective, &history, now(&clock));
+        let judgement = verdict.borrow().hold(judge(&effective, &history, now(&clock)));
         let waited = now(&clock).machine.since(started.machine) >= GRACE;
         let settled = waited || history.all_received() || judgement.speaks_against;
         if settled && let Some(ended) = past_verdicts.judge(judgement.verdict, &judgement.reasons, clock.utc()) {
@@ -117,10 +116,6 @@ fn report(alerts: &node::NodeAlerts, doubts: &[Doubt]) {
     alerts.raise(AlertKind::ClocksDisagree, "", &words.join("; "));
 }
 
-fn now(clock: &Clock) -> Now {
-    Now { sky: clock.sky(), machine: clock.machine() }
-}
-
 /// Begins with what the incarnation before received, as far as it fits.
 fn go_on(history: &mut History, rules: &Rules, stored: Result<Option<StoredHistory>, String>, moment: &Moment) {
     let restored = stored.and_then(|stored| stored.map(|stored| history.restore(rules, &stored, moment)).transpose());
@@ -139,23 +134,26 @@ fn go_on(history: &mut History, rules: &Rules, stored: Result<Option<StoredHisto
 fn take_in(history: &mut History, rules: &Rules, word: Word, speed: f64) {
     match word {
         Word::Monitor(device, heard) => match heard {
-            Heard::Hole => history.miss(rules, &device),
+            Heard::Hole(hole) => history.miss(rules, &device, hole),
             Heard::State(state, at) => history.observe_monitor(rules, &device, &state, at),
             Heard::Recalled(states) => history.recall_monitor(rules, &device, states),
+            Heard::NoRecord(refused) => history.go_without(&device, refused),
         },
         Word::Weather(device, heard) => match heard {
-            Heard::Hole => history.miss(rules, &device),
+            Heard::Hole(hole) => history.miss(rules, &device, hole),
             Heard::State(state, at) => history.observe_weather(rules, &device, &state, speed, at),
             Heard::Recalled(states) => {
                 if let Err(why) = history.recall_weather(rules, &device, states, speed) {
                     tracing::warn!(%device, why, "the record of the time before is not taken: the dwell runs");
                 }
             }
+            Heard::NoRecord(refused) => history.go_without(&device, refused),
         },
         Word::Switch(device, heard) => match heard {
-            Heard::Hole => history.miss(rules, &device),
+            Heard::Hole(hole) => history.miss(rules, &device, hole),
             Heard::State(state, at) => history.observe_switch(rules, &device, &state, at),
             Heard::Recalled(states) => history.recall_switch(rules, &device, states),
+            Heard::NoRecord(refused) => history.go_without(&device, refused),
         },
     }
 }

@@ -16,7 +16,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Response};
 use contract::order_form::{BadOrder, LONGEST_REASON, OrderForm};
 use contract::{Address, CommandId, Order, Reason, Refusal};
-use orders::{Follower, GivenOn, NotAccepted, NotDone, TakenBy};
+use orders::{Follower, GivenOn, NotAccepted, NotClosed, NotDone, TakenBy};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -226,33 +226,42 @@ async fn close(
         Err(error) => return command.note(Progress::Unknown, Some(error.to_string()), utc()),
     };
     let given_utc = utc();
-    let taken = |taken: &TakenBy| command.note(Progress::Accepted, taken.warning().map(str::to_owned), utc());
-    match orders::close(&server.bus, &follower, order, deadline, taken).await {
-        Ok(taken) => {
-            let warning = taken.warning().map(|warning| format!(", but {warning}")).unwrap_or_default();
-            let detail = format!("{}{warning}", taken.closed_words());
-            // The domes close, and do nothing else that was ordered.
-            let is_whole = taken == TakenBy::Observatory || form.word == CLOSE;
-            let progress = if is_whole { Progress::Done } else { Progress::Failed };
-            command.note(progress, Some(detail), utc());
-            if taken == TakenBy::Observatory {
-                return;
-            }
-            // An error adds nothing to what was noted.
-            if let Ok(given) = orders::give_on(&server.bus, &follower, order, orders::GIVEN_ON).await {
-                let detail = format!("{}; {}", taken.closed_words(), given.words());
-                command.note(if given == GivenOn::Taken { Progress::Done } else { progress }, Some(detail), utc());
-            }
+    let taken = |taken: &TakenBy| {
+        // One that was late has failed until it is closed after all.
+        if !command.now().has_ended() {
+            command.note(Progress::Accepted, taken.warning().map(str::to_owned), utc());
         }
-        Err(NotDone::NotClosed(error)) => command.note(Progress::Failed, Some(error.to_string()), utc()),
+    };
+    let late = |late: &NotClosed| command.note(Progress::Failed, Some(late.to_string()), utc());
+    let times = (deadline, orders::GIVEN_ON);
+    let taken = match orders::close_and_go_on(&server.bus, &follower, order, times, taken, late).await {
+        Ok(taken) => taken,
+        Err(NotDone::NotClosed(error)) => return command.note(Progress::Failed, Some(error.to_string()), utc()),
         Err(NotDone::NotAccepted(error)) => {
             let is_silence = error.is_silence();
             not_accepted(command, error, utc());
-            // An observatory node that hangs may carry it out later.
-            if is_silence && follower.until_closed(&order.id, given_utc, deadline).await.is_ok() {
-                command.note(Progress::Done, Some("verified closed; nobody had answered at first".to_owned()), utc());
+            if !is_silence {
+                return;
             }
+            // An observatory node that hangs may carry it out later.
+            let Ok(taken) = follower.until_closed(order, given_utc, deadline).await else { return };
+            taken
         }
+    };
+    let warning = taken.warning().map(|warning| format!(", but {warning}"));
+    let by_guards_alone = warning.is_some();
+    let detail = format!("{}{}", taken.closed_words(), warning.unwrap_or_default());
+    // The domes close, and do nothing else that was ordered.
+    let is_whole = !by_guards_alone || form.word == CLOSE;
+    let progress = if is_whole { Progress::Done } else { Progress::Failed };
+    command.note(progress, Some(detail), utc());
+    if !by_guards_alone {
+        return;
+    }
+    // An error adds nothing to what was noted.
+    if let Ok(given) = orders::give_on(&server.bus, &follower, order, orders::GIVEN_ON).await {
+        let detail = format!("{}; {}", taken.closed_words(), given.words());
+        command.note(if given == GivenOn::Taken { Progress::Done } else { progress }, Some(detail), utc());
     }
 }
 

@@ -1,8 +1,10 @@
 //! Orders over HTTP: given once whatever is repeated, refused in the observatory node's own words, and followed to the end.
 
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use contract::device::dome::Shutter;
 use contract::observatory::{NightState, OperatorOrders};
 use contract::{Accepted, Key, Kind, Order, OrderKind, Part, Reason, Refusal, Reply};
 use serde_json::{Value, json};
@@ -316,5 +318,33 @@ async fn an_order_that_only_the_dome_took_is_not_given_any_more_when_a_newer_one
         |state: &Value| state["detail"].as_str().is_some_and(|detail| detail.contains("a newer order of ben at "));
     let replaced = stage.until(&location, is_replaced).await;
     assert_eq!(replaced["state"], "failed", "{replaced}");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_close_that_the_dome_carries_out_late_has_failed_and_is_given_on_until_it_is_closed() {
+    let stage = Stage::start().await;
+    let device = address("callisto").device(Kind::Dome, &"dome_1".parse().unwrap());
+    let dome = DomeNode::start(&stage.bus, device, "callisto").await;
+    dome.sticks.store(true, Ordering::Relaxed);
+    stage.until("/api/v1/network", |network| network["telescopes"][0]["posture_by"] == "domes").await;
+    let body = json!({"command": "close", "operator": "ana", "deadline_s": 1});
+    let (status, state, location) = post(&stage, Some("a"), None, body).await;
+    assert_eq!(status, 202, "{state}");
+    let location = location.unwrap();
+    let late = stage.until(&location, |state| state["state"] == "failed").await;
+    let detail = late["detail"].as_str().unwrap();
+    assert!(detail.starts_with("NOT verified closed within 1 s: paranal/callisto/dome/dome_1"), "{late}");
+    assert!(detail.contains("the guard of each dome goes on to ask it to close until that is verified"), "{late}");
+
+    let mut closed = sample("observatory.night");
+    (closed["last_order"]["id"], closed["posture"]) = (state["id"].clone(), json!("closed"));
+    let closed: NightState = serde_json::from_value(closed).unwrap();
+    let _night = stage.publish(Key::Observatory(address("callisto"), Part::Night), closed).await;
+    let (_observatory, orders) = observatory(&stage).await;
+    test_support::until("the order is given on", || !orders.lock().unwrap().is_empty()).await;
+    dome.shutter.send_replace(Shutter::Closed);
+    let done = stage.until(&location, |state| state["state"] == "done").await;
+    assert!(done["detail"].as_str().unwrap().starts_with("verified closed"), "{done}");
     stage.end().await;
 }

@@ -2,7 +2,7 @@
 //! host.
 
 use std::fs;
-use std::io::{ErrorKind, Read as _};
+use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 
@@ -313,8 +313,8 @@ fn text(file: &Path) -> Result<String, String> {
     config::utf8(bytes).map_err(|why| format!("{shown}: {why}"))
 }
 
-/// Can files be written to this folder, or could it be made?
-fn writable(folder: &Path) -> Result<(), String> {
+/// Can files be written to this folder, or could it be made? The error says what to do.
+pub fn writable(folder: &Path) -> Result<(), String> {
     let shown = folder.display();
     let mut there: PathBuf = folder.to_owned();
     while fs::symlink_metadata(&there).is_err() && there.pop() {}
@@ -324,12 +324,22 @@ fn writable(folder: &Path) -> Result<(), String> {
     if !there.is_dir() {
         return Err(format!("{} is no folder, so that nothing can be written to {shown}", there.display()));
     }
-    // The file has no name, and is gone when it is closed.
-    tempfile::tempfile_in(&there).map(drop).map_err(|error| {
-        let why = error.to_string();
+    // The file has no name, and is gone when it is closed. A full disk makes files, and takes nothing that is written.
+    let tried = tempfile::tempfile_in(&there).and_then(|mut file| file.write_all(&[1; 4096]));
+    tried.map_err(|error| {
+        let (why, what_to_do) = (error.to_string(), what_to_do(error.kind()));
         let why = why.split(" at path").next().unwrap_or_default();
-        format!("nothing can be written to {shown}: {why}; give it to the user of the nodes, or choose another folder")
+        format!("nothing can be written to {shown}: {why}; {what_to_do}, or choose another folder")
     })
+}
+
+/// What to do where nothing can be written.
+fn what_to_do(kind: ErrorKind) -> &'static str {
+    match kind {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "make room there",
+        ErrorKind::ReadOnlyFilesystem => "mount it for writing",
+        _ => "give it to the user of the nodes",
+    }
 }
 
 /// Is this a database of SQLite, or nothing yet?
@@ -340,10 +350,22 @@ fn database_file(file: &Path) -> Result<(), String> {
     }
     let Ok(mut open) = fs::File::open(file) else { return Ok(()) };
     let mut begin = Vec::new();
-    open.by_ref().take(16).read_to_end(&mut begin).map_err(|error| format!("cannot read {shown}: {error}"))?;
+    (&mut open).take(16).read_to_end(&mut begin).map_err(|error| format!("cannot read {shown}: {error}"))?;
     if begin.is_empty() || begin.starts_with(b"SQLite format 3") {
         Ok(())
     } else {
         Err(format!("{shown} is no database of SQLite; move it away, or name another file"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_disk_one_that_may_only_be_read_and_a_folder_of_somebody_else_need_something_else_each() {
+        assert_eq!(what_to_do(ErrorKind::StorageFull), "make room there");
+        assert_eq!(what_to_do(ErrorKind::ReadOnlyFilesystem), "mount it for writing");
+        assert_eq!(what_to_do(ErrorKind::PermissionDenied), "give it to the user of the nodes");
     }
 }

@@ -106,8 +106,8 @@ fn each_mistyped_command_fails_with_what_was_wrong_and_what_to_type() {
         }
     }
     assert!(failed.is_empty(), "{} of {}:\n\n{}", failed.len(), TYPED.len(), failed.join("\n"));
-    // What is refused leaves nothing behind but the folders that the configuration names, and the lock of `up`.
-    let is_own = |name: &str| ["data", "images"].contains(&name) || (name.starts_with('.') && name.ends_with(".up"));
+    // What is refused leaves nothing behind but the folders that the configuration names.
+    let is_own = |name: &str| ["data", "images"].contains(&name);
     let after: Vec<_> = files().into_iter().filter(|name| !is_own(&name.to_string_lossy())).collect();
     assert_eq!(after, before);
 }

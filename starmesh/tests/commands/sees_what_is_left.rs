@@ -1,15 +1,20 @@
 //! A telescope whose observatory node is gone: it is seen, explained and closed by its dome's device node. And a bus that
 //! is found without its address.
 
+use std::path::Path;
+use std::process::Stdio;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use bus::{Bus, Clock};
-use contract::device::dome::Command as DomeCommand;
+use contract::device::dome::{Command as DomeCommand, Shutter};
 use contract::observatory::NightState;
 use contract::{Address, Key, Kind, Part};
 use serde_json::json;
 use sysinfo::{Pid, ProcessesToUpdate, System};
-use test_support::{DomeNode, until};
+use test_support::{DomeNode, LIMIT, until};
+use tokio::io::{AsyncBufReadExt as _, BufReader, Lines};
+use tokio::process::{Child, ChildStdout};
 use tokio::sync::watch;
 
 use crate::asks_telescopes::Telescope;
@@ -43,6 +48,29 @@ impl Alone {
         all.extend(["--no-multicast".to_owned(), "--connect".to_owned(), self.connect.clone()]);
         tokio::task::spawn_blocking(move || starmesh(all)).await.unwrap()
     }
+
+    /// Orders to close, and waits 1 s for it, and so long beyond that.
+    fn close_late(&self, runtime: &Path, beyond_s: &str) -> Child {
+        tokio::process::Command::new(env!("CARGO_BIN_EXE_starmesh"))
+            .args(["order", "paranal/europa", "close", "--wait", "1", "--give-on", beyond_s])
+            .args(["--no-multicast", "--connect", &self.connect])
+            .env("XDG_RUNTIME_DIR", runtime)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .kill_on_drop(true)
+            .spawn()
+            .unwrap()
+    }
+}
+
+/// The state of an observatory node that has taken an order of Ben just now.
+fn newer_order(bus: &Bus) -> NightState {
+    let newer = json!({ "id": "newer", "from": "web/ben", "verb": "robotic", "at_utc": bus.clock().utc() });
+    let night = json!({
+        "robotic": true, "posture": "closed", "actions": [], "frames": 0, "open_s": 0.0, "speed": 1.0, "simulated": false,
+        "ended": false, "last_order": newer,
+    });
+    serde_json::from_value(night).unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -75,7 +103,7 @@ async fn a_close_order_that_no_observatory_node_answers_goes_to_the_dome_and_no_
 
     let output = alone.starmesh(&["order", "paranal/europa", "close", "--operator", "ana", "--give-on", "0"]).await;
     // It is closed, and a script must not take that for kept.
-    assert!(!output.success && output.err.contains("no observatory node has taken the order"), "{}", output.err);
+    assert!(!output.success && output.err.contains("no observatory node answers"), "{}", output.err);
     assert!(
         output.out.contains("the device node of paranal/europa/dome/dome_1 was ordered to close"),
         "{}",
@@ -121,12 +149,7 @@ async fn a_close_order_that_only_the_dome_took_ends_with_an_error_when_a_newer_o
     let alone = Alone::start().await;
     let ordered_otherwise = async {
         alone.until_the_dome_is_told().await;
-        let newer = json!({ "id": "newer", "from": "web/ben", "verb": "robotic", "at_utc": alone.bus.clock().utc() });
-        let night = json!({
-            "robotic": true, "posture": "closed", "actions": [], "frames": 0, "open_s": 0.0, "speed": 1.0, "simulated": false,
-            "ended": false, "last_order": newer,
-        });
-        let (_night, shown) = watch::channel(serde_json::from_value::<NightState>(night).unwrap());
+        let (_night, shown) = watch::channel(newer_order(&alone.bus));
         let nights = alone.bus.publisher(&Key::Observatory(europa(), Part::Night)).await.unwrap();
         nights.follow(shown, Duration::from_secs(1)).await.unwrap();
     };
@@ -137,6 +160,82 @@ async fn a_close_order_that_only_the_dome_took_ends_with_an_error_when_a_newer_o
     assert!(!output.success && output.err.contains("it was only closed"), "{}{}", output.out, output.err);
     assert!(output.err.contains("has taken a newer order of ben at "), "{}", output.err);
     alone.bus.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_close_order_that_was_replaced_while_the_dome_did_not_close_is_not_given_again_and_says_so() {
+    let alone = Alone::start().await;
+    alone.dome.sticks.store(true, Ordering::Relaxed);
+    let opened_by_ben = async {
+        let nights = alone.bus.publisher::<NightState>(&Key::Observatory(europa(), Part::Night)).await.unwrap();
+        while nights.put(newer_order(&alone.bus)).await.is_ok() {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    let output = tokio::select! {
+        output = alone.starmesh(&["order", "paranal/europa", "close", "--wait", "1", "--give-on", "20"]) => output,
+        () = opened_by_ben => panic!("nothing was published any more"),
+    };
+    assert!(!output.success, "{}{}", output.out, output.err);
+    assert!(output.err.contains("NOT verified closed within 1 s: paranal/europa/dome/dome_1"), "{}", output.err);
+    assert!(output.err.contains("has taken a newer order of ben at "), "{}", output.err);
+    assert!(!output.out.contains("This order is followed and asked for"), "{}", output.out);
+    alone.bus.close().await;
+}
+
+/// The lines that `starmesh` prints, up to the one that holds these words; none of them where it ends before.
+async fn printed_until(lines: &mut Lines<BufReader<ChildStdout>>, words: &str) -> Vec<String> {
+    let mut printed = Vec::new();
+    let reading = async {
+        while let Some(line) = lines.next_line().await.unwrap() {
+            printed.push(line);
+            if printed.last().is_some_and(|line| line.contains(words)) {
+                return;
+            }
+        }
+        printed.clear();
+    };
+    tokio::time::timeout(LIMIT, reading).await.unwrap_or_else(|_| panic!("{words:?} is never printed"));
+    printed
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_close_order_that_the_dome_carries_out_late_is_told_given_on_and_followed_until_it_is_closed() {
+    let alone = Alone::start().await;
+    alone.dome.sticks.store(true, Ordering::Relaxed);
+    let runtime = tempfile::tempdir().unwrap();
+    let mut order = alone.close_late(runtime.path(), "240");
+    let mut lines = BufReader::new(order.stdout.take().unwrap()).lines();
+    let late = printed_until(&mut lines, "NOT verified closed within 1 s: paranal/europa/dome/dome_1").await;
+    let words = late.last().map_or("", String::as_str);
+    assert!(words.contains("the guard of each dome goes on to ask it to close until that is verified"), "{late:#?}");
+    assert!(words.contains("This order is followed and asked for 240 s more"), "{late:#?}");
+
+    let _europa = Telescope::command(alone.bus.clone(), europa()).await;
+    let taken = printed_until(&mut lines, "the observatory node of paranal/europa answers now: accepted").await;
+    assert!(!taken.is_empty(), "the order was forgotten");
+    alone.dome.shutter.send_replace(Shutter::Closed);
+    assert_eq!(printed_until(&mut lines, "verified closed").await, ["verified closed"]);
+    assert!(tokio::time::timeout(LIMIT, order.wait()).await.unwrap().unwrap().success());
+    alone.bus.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_close_order_whose_dome_falls_silent_after_it_was_late_ends_with_the_name_of_that_dome() {
+    let alone = Alone::start().await;
+    alone.dome.sticks.store(true, Ordering::Relaxed);
+    let runtime = tempfile::tempdir().unwrap();
+    let mut order = alone.close_late(runtime.path(), "1");
+    let mut lines = BufReader::new(order.stdout.take().unwrap()).lines();
+    let late = printed_until(&mut lines, "This order is followed and asked for 1 s more").await;
+    assert!(!late.is_empty(), "it was not told that the dome is late");
+    let Alone { bus, dome, .. } = alone;
+    drop(dome);
+    let ended = tokio::time::timeout(LIMIT, order.wait_with_output()).await.unwrap().unwrap();
+    let words = String::from_utf8_lossy(&ended.stderr);
+    assert!(!ended.status.success(), "{words}");
+    assert!(words.contains("NOT verified closed within 2 s: paranal/europa/dome/dome_1"), "{words}");
+    bus.close().await;
 }
 
 #[cfg(unix)]

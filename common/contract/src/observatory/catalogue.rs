@@ -97,8 +97,10 @@ catalogue! {
     /// The device node that grants the lease of a telescope had lost its file of tokens, or had an older copy of it, and
     /// went on from the newest token that somebody showed it.
     LeaseCountLost: network::LEASE_COUNT_LOST,
-    /// A node that published is silent now: it ended, hangs, or its host or the network is down. The time counts from the
-    /// last that was received of it.
+    /// A node that published, or that ought to run, is silent now: it ended, hangs, or its host or the network is down. The
+    /// time counts from the last that was received of it. After its own start the observatory node expects the device nodes
+    /// and archive nodes that its file names, and what ran in the last seven days and has not ended in good order; it gives
+    /// them 120 s, since after a power cut other computers start later.
     NodeSilent: network::NODE_SILENT,
     /// A node hung and was ended by its supervisor, or ended three times within ten minutes without being asked to. The cause
     /// says how it ended last, such as by which signal.
