@@ -21,6 +21,7 @@ from astropy import units as u
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.nddata import CCDData
+from astropy.table import Table
 from astropy.time import Time
 from astropy.wcs import WCS
 from ports import free_port
@@ -48,7 +49,7 @@ class Night:
 
 
 class Series:
-    """The solved light frames of one target, and the stars of the shipped catalogue that are bright, alone and not saturated in all of them."""
+    """The solved light frames of one target, what the shipped catalogue has around them, and its stars that are bright, alone and not saturated in all of them."""
 
     EDGE_PX, ALONE_PX, LEAST_ADU, MOST_ADU = 40, 20, 3000.0, 45_000.0
 
@@ -58,7 +59,7 @@ class Series:
         ra, dec, mag = shipped_sky.stars()
         around = SkyCoord(self.first["RA"], self.first["DEC"], unit="deg").separation(SkyCoord(ra, dec, unit="deg"))
         near = around < self.first["NAXIS1"] * self.first["PIXSCALE"] * u.arcsec
-        ra, dec, mag = ra[near], dec[near], mag[near]
+        self.catalogue = ra, dec, mag = ra[near], dec[near], mag[near]
         good = np.full(len(ra), True)
         for path, header in zip(paths, self.headers):
             light = fits.getdata(path) - header["BKGLEVEL"]
@@ -247,23 +248,34 @@ HOT_BELOW = 0.3  # half of the light of a hot pixel lies within less than this p
 JUMPED_PX = 0.2  # where the mount was moved during the exposure stars have tails, and each program has a middle of its own
 
 
-def source_extractor(path: pathlib.Path, folder: pathlib.Path) -> tuple[np.ndarray, dict]:
-    """What source-extractor finds with its own default configuration, and what it notes of the frame."""
-    from astropy.io.votable import parse
-
-    columns = ("X_IMAGE", "Y_IMAGE", "XMIN_IMAGE", "XMAX_IMAGE", "YMIN_IMAGE", "YMAX_IMAGE", "ALPHA_J2000", "DELTA_J2000", "FLUX_APER(1)", "FLUXERR_APER(1)", "FLUX_RADIUS",
-               "FLAGS")
+def extract(path: pathlib.Path, folder: pathlib.Path, catalogue: str, columns: tuple[str, ...], *options) -> pathlib.Path:
+    """The catalogue of what source-extractor finds with its own default configuration."""
     (folder / "columns").write_text("\n".join(columns))
     run("source-extractor", path, "-c", SEX / "default.sex", "-FILTER_NAME", SEX / "default.conv", "-STARNNW_NAME", SEX / "default.nnw",
-        "-PARAMETERS_NAME", folder / "columns", "-CATALOG_TYPE", "FITS_LDAC", "-CATALOG_NAME", folder / "found.cat", "-WRITE_XML", "Y",
-        "-XML_NAME", folder / "found.xml", "-VERBOSE_TYPE", "QUIET", "-PIXEL_SCALE", 0)  # 0: by the header's solution
+        "-PARAMETERS_NAME", folder / "columns", "-CATALOG_TYPE", "FITS_LDAC", "-CATALOG_NAME", folder / catalogue, "-VERBOSE_TYPE", "QUIET",
+        "-PIXEL_SCALE", 0, *options)  # 0: by the header's solution
+    return folder / catalogue
+
+
+def table_of(xml: pathlib.Path, name: str) -> np.ndarray:
+    """A table of the notes that source-extractor, SCAMP and PSFEx write."""
+    from astropy.io.votable import parse
+
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the table is older than the standard
-        noted = next(table for table in parse(folder / "found.xml").iter_tables() if table.name == "Extension_Data").array[0]
-    return fits.getdata(folder / "found.cat", 2, memmap=False), {name: np.ravel(noted[name])[0] for name in noted.dtype.names}
+        warnings.simplefilter("ignore")  # it is older than the standard
+        return next(table for table in parse(xml).iter_tables() if table.name == name).array.data
 
 
-def from_catalogue(series: Series, found: np.ndarray) -> np.ndarray:
+def source_extractor(path: pathlib.Path, folder: pathlib.Path) -> tuple[np.ndarray, dict]:
+    """What source-extractor finds, and what it notes of the frame."""
+    columns = ("X_IMAGE", "Y_IMAGE", "XMIN_IMAGE", "XMAX_IMAGE", "YMIN_IMAGE", "YMAX_IMAGE", "ALPHA_J2000", "DELTA_J2000", "FLUX_APER(1)", "FLUXERR_APER(1)", "FLUX_RADIUS",
+               "FLAGS")
+    found = extract(path, folder, "found.cat", columns, "-WRITE_XML", "Y", "-XML_NAME", folder / "found.xml")
+    noted = table_of(folder / "found.xml", "Extension_Data")[0]
+    return fits.getdata(found, 2, memmap=False), {name: np.ravel(noted[name])[0] for name in noted.dtype.names}
+
+
+def from_catalogue(series: Series, found: np.ndarray | dict) -> np.ndarray:
     """Distance, pixels, of each star of the catalogue from the source that is nearest by the coordinates that a program gave it."""
     sources = SkyCoord(found["ALPHA_J2000"], found["DELTA_J2000"], unit="deg")
     return series.places.match_to_catalog_sky(sources)[1].arcsec / series.first["PIXSCALE"]
@@ -420,6 +432,149 @@ def test_astroalign_finds_how_two_frames_lie(night, series):
     SAID["`astroalign`"] = (version("astroalign"), f"two frames {apart:.0f} pix apart, by {len(there)} stars: as their plate solutions say, to "
                                                    f"{np.median(off):.2f} pix")
     assert len(there) >= 10 and np.median(off) < JUMPED_PX
+
+
+@pytest.fixture(scope="module")
+def catalogues(series, tmp_path_factory) -> list[pathlib.Path]:
+    """What SCAMP and PSFEx ask source-extractor for, of each third frame: with a cut-out of each star."""
+    debian("source-extractor", "source-extractor")
+    columns = ("X_IMAGE", "Y_IMAGE", "XWIN_IMAGE", "YWIN_IMAGE", "ERRAWIN_IMAGE", "ERRBWIN_IMAGE", "ERRTHETAWIN_IMAGE", "FLUX_AUTO", "FLUXERR_AUTO",
+               "FLUX_APER(1)", "FLUXERR_APER(1)", "FLUX_RADIUS", "SNR_WIN", "ELONGATION", "FLAGS", "VIGNET(25,25)")
+    folder = tmp_path_factory.mktemp("catalogues")
+    return [extract(path, folder, f"{path.stem}.cat", columns, "-PHOT_APERTURES", 4 * series.first["FWHM"]) for path in series.paths[::3]]
+
+
+QUIET = ("-CHECKPLOT_DEV", "NULL", "-CHECKPLOT_TYPE", "NONE", "-NTHREADS", "1", "-VERBOSE_TYPE", "QUIET", "-WRITE_XML", "Y")
+
+
+def test_scamp_finds_nothing_to_correct(series, catalogues, tmp_path):
+    """It matches the stars with the catalogue by their pattern, and says how far the header's solution is off."""
+    number, scale, headers = debian("scamp", "scamp"), series.first["PIXSCALE"], series.headers[::3]
+    ra, dec, mag = series.catalogue
+    error = np.full(len(ra), 0.05 / 3600)
+    stars = Table({"X_WORLD": ra, "Y_WORLD": dec, "ERRA_WORLD": error, "ERRB_WORLD": error, "MAG": mag, "MAGERR": np.full(len(ra), 0.02)})
+    fits.HDUList([fits.PrimaryHDU(), fits.BinTableHDU(stars, name="LDAC_OBJECTS")]).writeto(tmp_path / "stars.cat")
+    run("scamp", *catalogues, "-ASTREF_CATALOG", "FILE", "-ASTREFCAT_NAME", tmp_path / "stars.cat", "-MATCH_RESOL", scale / 2, *QUIET,
+        "-FWHM_THRESHOLDS", f"{2 * HOT_BELOW * series.first['FWHM']},100", "-XML_NAME", tmp_path / "scamp.xml", cwd=tmp_path)
+    fields = table_of(tmp_path / "scamp.xml", "Fields")
+    assert list(fields["Observation_Date"]) == pytest.approx([Time(header["DATE-AVG"]).jyear for header in headers], abs=1e-8)
+    assert list(fields["Exposure_Time"]) == pytest.approx([header["EXPTIME"] for header in headers])
+    assert list(fields["AirMass"]) == pytest.approx([header["AIRMASS"] for header in headers], abs=0.006), "it has two digits"
+    # a mirrored solution has less than this, a true one 20 and more
+    assert min(fields["AS_Contrast"].min(), fields["XY_Contrast"].min()) > 5
+    off = np.hypot(fields["DX"], fields["DY"]) * 3600 / scale
+    assert np.median(off) < 0.05 and off.max() < JUMPED_PX, off
+    scale_off, turned = np.abs(fields["DPixelScale"] - 1).max(), np.abs(fields["DPosAngle"]).max()
+    SAID["`scamp`"] = (number, f"{len(off)} frames, matched with the catalogue: to be moved by {np.median(off):.3f} pix, their scale is off by "
+                               f"{1e6 * scale_off:.0f} millionths at most, and they are turned by {turned:.4f} deg")
+    assert scale_off < 1e-4 and turned < 0.01
+
+
+def test_psfex_finds_the_fwhm_of_the_header(series, catalogues, tmp_path):
+    number, headers = debian("psfex", "psfex"), series.headers[::3]
+    run("psfex", *catalogues, *QUIET, "-CHECKIMAGE_TYPE", "NONE", "-PSF_DIR", tmp_path, "-XML_NAME", tmp_path / "psfex.xml", cwd=tmp_path)
+    fields = table_of(tmp_path / "psfex.xml", "PSF_Fields")
+    assert list(fields["PixelScale_WCS_Mean"]) == pytest.approx([header["PIXSCALE"] for header in headers], rel=1e-3)
+    ratio = np.median(fields["FWHM_Mean"] / [header["FWHM"] for header in headers])
+    accepted, chi2 = fields["NStars_Accepted_Total"], np.median(fields["Chi2_Mean"])
+    SAID["`psfex`"] = (number, f"a model of {np.median(accepted):.0f} stars in each of {len(fields)} frames, chi2 {chi2:.2f}; its FWHM is {ratio:.2f} of "
+                               "the header's")
+    assert np.median(accepted) >= 10 and chi2 == pytest.approx(1.0, abs=0.2)
+    assert ratio == pytest.approx(1.0, abs=0.05)
+
+
+def test_wcstools_goes_from_pixels_to_the_sky_and_back(series, tmp_path):
+    number, medians, listed = debian("xy2sky", "wcstools"), [], tmp_path / "places"
+
+    def answers(places, *command) -> np.ndarray:
+        np.savetxt(listed, places, "%.8f")
+        return np.array([[float(word) for word in re.findall(r"-?\d+\.\d+", line)] for line in run(*command, f"@{listed}").splitlines()])
+    for path in series.paths:
+        found, _ = source_extractor(path, tmp_path)
+        pixels = np.column_stack([found["X_IMAGE"], found["Y_IMAGE"]])
+        sky = answers(pixels, "xy2sky", "-d", "-n", 8, path)[:, :2]
+        assert np.abs(answers(sky, "sky2xy", "-j", "-n", 4, path)[:, 2:] - pixels).max() < 0.001, "there and back"
+        medians.append(np.median(from_catalogue(series, {"ALPHA_J2000": sky[:, 0], "DELTA_J2000": sky[:, 1]})))
+    SAID["`wcstools`"] = (number, f"`xy2sky` and `sky2xy`, {len(medians)} frames: stars are {np.median(medians):.2f} pix from the catalogue")
+    assert np.median(medians) < 0.05 and max(medians) < JUMPED_PX, medians
+
+
+def test_gnuastro_finds_stars_and_the_noise_that_gain_gives(night, series, tmp_path):
+    number, medians, ratios = debian("astnoisechisel", "gnuastro"), [], []
+    made = [tmp_path / name for name in ("sky.fits", "clumps.fits", "found.fits", "difference.fits")]
+
+    def level(path) -> float:
+        return float(run("aststatistics", "-q", "-h0", "--sigclip-median", path))
+
+    def noise(one, other) -> float:
+        """Of the difference, adu: what the pixels have for themselves falls out."""
+        run("astarithmetic", "-q", "-g0", one, "float32", other, "float32", "-", "-o", made[3])
+        return float(run("aststatistics", "-q", "-h1", "--sigclip-std", made[3]))
+    for path, header in zip(series.paths[::3], series.headers[::3]):
+        run("astnoisechisel", "-q", "-h0", path, "-o", made[0])
+        run("astsegment", "-q", made[0], "-o", made[1])
+        run("astmkcatalog", "-q", "--clumpscat", "--ids", "--ra", "--dec", "--halfmaxsum", made[1], "-o", made[2])
+        found = fits.getdata(made[2], 2, memmap=False)
+        assert found.columns["HALF_MAX_SUM"].unit == "adu", "by BUNIT"
+        medians.append(np.median(from_catalogue(series, {"ALPHA_J2000": found["RA"], "DELTA_J2000": found["DEC"]})))
+    bias = [path for path in night.of("Bias") if night.headers[path]["NAXIS1"] == series.first["NAXIS1"]][:2]
+    gain, read, zero = series.first["GAIN"], series.first["RDNOISE"], level(bias[0])
+    read_noise = noise(*bias) / np.sqrt(2) * gain
+    for at in range(0, len(series.paths) - 1, 3):
+        levels = [level(path) for path in series.paths[at:at + 2]]
+        assert levels[0] == pytest.approx(series.headers[at]["BKGLEVEL"], abs=0.5 * series.headers[at]["BKGNOISE"])
+        photons = sum((sky - zero) / gain + (read / gain) ** 2 for sky in levels)
+        ratios.append(noise(*series.paths[at:at + 2]) / np.sqrt(photons))
+    SAID["`gnuastro`"] = (number, f"stars are {np.median(medians):.2f} pix from the catalogue; the sky has {np.median(ratios):.2f} of the noise that GAIN and "
+                                  f"RDNOISE give, two bias frames have {read_noise:.1f} electrons, RDNOISE says {read:.1f}")
+    assert np.median(medians) < 0.1 and max(medians) < JUMPED_PX, medians
+    assert read_noise == pytest.approx(read, rel=0.03)
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.1)
+
+
+def test_sep_finds_sky_and_stars_as_the_header_says(series):
+    import sep
+
+    offs, zero_points, ra, dec = [], [], series.places.ra.deg, series.places.dec.deg
+    for path, header in zip(series.paths, series.headers):
+        pixels = fits.getdata(path).astype(np.float32)
+        sky = sep.Background(pixels)
+        assert sky.globalback == pytest.approx(header["BKGLEVEL"], abs=0.5 * header["BKGNOISE"])
+        assert sky.globalrms == pytest.approx(header["BKGNOISE"], rel=0.15)
+        light = pixels - sky
+        found = sep.extract(light, 5, err=sky.globalrms)
+        x, y, _ = sep.winpos(light, found["x"], found["y"], header["FWHM"] / 2.355)
+        apart = np.hypot(*(wanted[:, None] - seen for wanted, seen in zip(places(header, ra, dec), (x, y))))
+        star = apart.argmin(axis=1)
+        offs.append(np.median(apart.min(axis=1)))
+        flux, _, _ = sep.sum_circle(light, x[star], y[star], 2 * header["FWHM"])
+        zero_points.append(np.median(series.mag + 2.5 * np.log10(flux / header["EXPTIME"])) - header["MAGZPT"])
+    off = np.median(zero_points)
+    SAID["`sep`"] = (version("sep"), f"sky and noise of {len(offs)} frames as in the header; {len(ra)} stars are {np.median(offs):.2f} pix from the catalogue, "
+                                     f"and by MAGZPT {abs(off):.2f} mag")
+    assert np.median(offs) < 0.05 and max(offs) < JUMPED_PX, offs
+    assert abs(off) < 0.1
+
+
+def test_reproject_adds_frames_with_north_up(night, series):
+    """An acquisition frame, which lies elsewhere, and each third frame."""
+    import sep
+    from reproject import reproject_interp
+    from reproject.mosaicking import find_optimal_celestial_wcs, reproject_and_coadd
+
+    pointed = [path for path in night.of("Acquisition") if night.headers[path]["OBJECT"] == series.first["OBJECT"]]
+    paths = [next(path for path in pointed if night.headers[path].get("SOLVED")), *series.paths[::3]]
+    headers = [night.headers[path] for path in paths]
+    frames = [((fits.getdata(path) - header["BKGLEVEL"]) / header["EXPTIME"], WCS(header)) for path, header in zip(paths, headers)]
+    grid, shape = find_optimal_celestial_wcs(frames)
+    added, covered = reproject_and_coadd(frames, grid, shape_out=shape, reproject_function=reproject_interp)
+    x, y = grid.all_world2pix(series.places.ra.deg, series.places.dec.deg, 0)
+    seen_x, seen_y, _ = sep.winpos(np.nan_to_num(added).astype(np.float32), x, y, series.first["FWHM"] / 2.355)
+    off = np.hypot(seen_x - x, seen_y - y)
+    SAID["`reproject`"] = (version("reproject"), f"{len(paths)} frames, one of them an acquisition frame, added with north up: stars are "
+                                                 f"{np.median(off):.2f} pix from the catalogue")
+    assert covered.max() == len(paths), "they overlap"
+    assert np.median(off) < 0.05 and off.max() < JUMPED_PX, off
 
 
 def test_prose_makes_a_light_curve_with_no_definition_of_the_telescope(night, series, tmp_path):

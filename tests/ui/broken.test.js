@@ -2,10 +2,10 @@
 // The page comes from a real web node; what the server says over the socket is written here.
 import { test, after, beforeEach } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, becomes, newPage, startAlone, withBrowser } from "./browser.js";
+import { TEST, becomes, fresh, newPage, startAlone, withBrowser } from "./browser.js";
 
 const [alone, browser] = await withBrowser(startAlone());
-let page;
+const page = await newPage(browser);
 
 const summary = (telescope, change = {}) => ({
   id: `paranal/${telescope}`, site_id: "paranal", telescope_id: telescope, shared: false, quality: "fresh",
@@ -21,16 +21,14 @@ class Server {
   known = new Map();
   sockets = new Set();
   refuses = false;
+  beats = setInterval(() => this.send(this.network("delta")), 500);
 
-  async serve(page) {
-    await page.routeWebSocket(/\/api\/v1\/ws/, (socket) => {
-      if (this.refuses) return void socket.close();
-      this.sockets.add(socket);
-      socket.onClose(() => this.sockets.delete(socket));
-      socket.send(says("welcome", { data: { version: "test", speed: 1 } }));
-      socket.send(this.network("snap"));
-    });
-    this.beats = setInterval(() => this.send(this.network("delta")), 500);
+  serve(socket) {
+    if (this.refuses) return void socket.close();
+    this.sockets.add(socket);
+    socket.onClose(() => this.sockets.delete(socket));
+    socket.send(says("welcome", { data: { version: "test", speed: 1 } }));
+    socket.send(this.network("snap"));
   }
 
   network(op) {
@@ -53,16 +51,15 @@ class Server {
 }
 
 let server;
+await page.routeWebSocket(/\/api\/v1\/ws/, (socket) => server.serve(socket));
 const tile = (telescope, more = "") => page.locator(`[data-testid="tile"][data-telescope="paranal/${telescope}"]${more}`);
 const SAFE = '[data-safety="safe"]';
 
 beforeEach(async () => {
   server?.stop();
-  await page?.close();
-  page = await newPage(browser);
+  await fresh(page);
   server = new Server();
   server.tell(summary("io"), summary("europa"));
-  await server.serve(page);
   await page.goto(`${alone.url}/`);
   await tile("io", SAFE).waitFor();
 }, TEST);
@@ -113,9 +110,12 @@ test("a page that no longer draws is hidden behind a red bar", TEST, async () =>
 });
 
 test("a page whose program never comes says so", TEST, async () => {
-  await page.clock.install();
-  await page.route(/app\.js/, (route) => route.abort());
-  await page.reload();
-  await page.clock.runFor(6000);
-  await page.locator("#broken").waitFor();
+  // A clock that is replaced stays so.
+  const own = await newPage(browser);
+  await own.clock.install();
+  await own.route(/app\.js/, (route) => route.abort());
+  await own.goto(`${alone.url}/`);
+  await own.clock.runFor(6000);
+  await own.locator("#broken").waitFor();
+  await own.close();
 });

@@ -3,11 +3,11 @@
 import { test } from "node:test";
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { TEST, becomes, boxOf, looks, newPage, problemsOf, settled, startRecorded, tooWide, withBrowser } from "./browser.js";
+import { TEST, becomes, boxOf, fresh, looks, newPage, problemsOf, settled, startRecorded, tooWide, withBrowser } from "./browser.js";
 
 const ID = "demo/alpha";
-const WIDE = { viewport: { width: 1280, height: 1000 } };
-const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true };
+const WIDE = { width: 1280, height: 1000 };
+const NARROW = { width: 390, height: 844 };
 const MARKUP = '"><img src=x onerror="window.taken=1"><script>window.taken=1</script>';
 /** A text as people write it: comments, a row over several lines, two ways of writing a time. */
 const WRITTEN = `// Tonight, for the supernova.
@@ -21,7 +21,10 @@ const WRITTEN = `// Tonight, for the supernova.
 // the end`;
 
 const [bus, browser] = await withBrowser(startRecorded());
-let page, problems;
+const wide = await newPage(browser);
+const phone = await newPage(browser, { viewport: NARROW, hasTouch: true, isMobile: true });
+const problems = new Map([wide, phone].map((one) => [one, problemsOf(one)]));
+let page = wide;
 
 const draftPath = () => `${bus.url}/api/v1/telescopes/${ID}/schedule/drafts/page`;
 const area = (on = page) => on.getByLabel("Schedule, rows of JSON");
@@ -30,12 +33,18 @@ const lines = (text) => text.split("\n").filter((line) => line.trim().startsWith
 const button = (name, on = page) => on.getByRole("button", { name, exact: true });
 const bar = (number) => page.locator(`[data-testid="draft-bar"][data-row="${number}"]`);
 
-/** A page with the editor open; the draft of the test before is gone. */
-async function open(options = WIDE, { keeps = false } = {}) {
-  await page?.close();
+/** A page as new; the draft of the test before is gone, unless the server `keeps` it. */
+async function begin({ on = wide, viewport = WIDE, keeps = false } = {}) {
+  // The other page would go on drawing meanwhile.
+  if (page !== on) await fresh(page);
+  page = on;
+  await fresh(page, { viewport, problems: problems.get(page) });
   if (!keeps) await fetch(draftPath(), { method: "DELETE", headers: { "If-Match": "*" } });
-  page = await newPage(browser, options);
-  problems = problemsOf(page);
+}
+
+/** The same with the editor open. */
+async function open(options = {}) {
+  await begin(options);
   await edit();
 }
 
@@ -60,7 +69,7 @@ const hourPx = async () => {
   return (width - (width < 560 ? 52 : 78)) / ((to - from) / 3600e3);
 };
 // That there is no draft yet is answered as 404, and that somebody changed it as 412.
-const unexpected = () => problems.filter((one) => !/status of (404|412)/.test(one));
+const unexpected = () => problems.get(page).filter((one) => !/status of (404|412)/.test(one));
 
 /** Begin and end of a row of a text, by its object. */
 function timesOf(text, object) {
@@ -135,7 +144,7 @@ test("arrow keys move a row by a minute and with Shift by ten, an end as well, a
 });
 
 test("a finger drags a row on a phone, and beside the rows it looks around", TEST, async () => {
-  await open(PHONE);
+  await open({ on: phone, viewport: NARROW });
   await write(WRITTEN, 2);
   const line = page.getByTestId("draft-line");
   await page.waitForLoadState("networkidle");
@@ -194,7 +203,7 @@ test("a new row begins with a template of its action: what this telescope did la
 });
 
 test("a row is changed by its form wherever it stands, duplicated behind itself, and removed", TEST, async () => {
-  await open({ viewport: { width: 390, height: 844 } });
+  await open({ viewport: NARROW });
   await write(WRITTEN, 2);
   await area().evaluate((one, at) => { one.focus(); one.setSelectionRange(at, at); }, WRITTEN.indexOf("see the chart"));
   await area().press("ArrowRight");
@@ -274,7 +283,7 @@ test("what is written survives a reload, stored or not, and a page that is left"
   await becomes(draft, WRITTEN);
   await button("Store").click();
   await page.locator('[data-testid="stored"]', { hasText: "stored by" }).waitFor();
-  await open(WIDE, { keeps: true });
+  await open({ keeps: true });
   await becomes(draft, WRITTEN, "another tab has what was stored");
   await button("Start over").click();
   await becomes(async () => lines(await draft()).length, 10, "as in force");
@@ -286,7 +295,7 @@ test("what is written survives a reload, stored or not, and a page that is left"
 
 test("of two who edit, the second one is told, and neither text is lost", TEST, async () => {
   await open();
-  const other = await newPage(browser, WIDE);
+  const other = await newPage(browser, { viewport: WIDE });
   await edit(other);
   const mine = WRITTEN.replace("supernova", "asteroid");
   await area(other).fill(WRITTEN);
@@ -348,11 +357,8 @@ test("a schedule that is put in force meanwhile is told, and is what the draft i
 });
 
 test("where no schedule is in force, the draft begins empty, and a template fills it", TEST, async () => {
-  await page?.close();
-  await fetch(draftPath(), { method: "DELETE", headers: { "If-Match": "*" } });
+  await begin();
   await bus.reset();
-  page = await newPage(browser, WIDE);
-  problems = problemsOf(page);
   await page.route(`**/api/v1/telescopes/${ID}/schedule`, (route) => route.fulfill({ status: 404, json: { detail: "there is none" } }));
   await page.goto(`${bus.url}/t/${ID}/schedule`);
   await settled(page);
@@ -389,7 +395,7 @@ test("a file is taken as the draft, and the draft as a file, with every comment"
 });
 
 test("names that are markup, or very long, stay text, and the editor fits in every theme", TEST, async () => {
-  await open(PHONE);
+  await open({ on: phone, viewport: NARROW });
   const row = (object, at) => JSON.stringify({ device_name: MARKUP, action_type: "object", action_value: { object, ra: 24, dec: -45, exptime: MARKUP, [MARKUP]: { a: [MARKUP] } }, start_time: `2026-11-27 0${at}:00:00`, end_time: `2026-11-27 0${at + 1}:00:00`, [MARKUP]: MARKUP });
   await write(`// ${MARKUP}\n${row(MARKUP, 3)}\n${row("W".repeat(3000), 4)}\n{"__proto__": {"object": 1}, "action_type": {"tag": "img"}, "action_value": "x", "start_time": 7}`, 2);
   await page.route("**/schedule/validate", (route) => route.fulfill({ json: { valid: false, rows: 3, errors: 1, warnings: 1, findings: [{ severity: "error", check: MARKUP, line: 2, column: 4, field: MARKUP, what: MARKUP, right: "W".repeat(500), fix: { line: 2, column: 1, end_line: 2, end_column: 2, text: MARKUP.repeat(20) } }, { severity: "warning", check: "time", line: 99, column: 1, what: MARKUP }] } }));
@@ -521,8 +527,7 @@ test("a draft that somebody else has stored stays when another text is activated
 });
 
 test("a schedule that cannot be read is not taken for none", TEST, async () => {
-  await page?.close();
-  page = await newPage(browser, WIDE);
+  await begin();
   await page.route(`**/api/v1/telescopes/${ID}/schedule`, (route) => route.fulfill({ status: 504, json: { detail: "demo/alpha: it has 3000000 bytes." } }));
   await page.goto(`${bus.url}/t/${ID}/schedule`);
   await settled(page);

@@ -27,8 +27,8 @@ function telescope(n) {
 const WEATHER = { link: { is: "connected" }, busy: false, period_s: 5, fields: { wind_mps: 7.4, gust_mps: 9.1, humidity_percent: 31, sky_c: -30.2, air_c: 8.1, rain_mm_per_h: 0 }, readings: {} };
 
 /**
- * Answers for a page: `told` are the summaries by id, `tell(...summaries)` changes some, those in `silent` grow old, `images` are the telescopes whose image was asked for.
- * A socket takes `limits.topics` topics; `topics()` are those that the page has, and `refusals` those that it was refused, in their order.
+ * Answers for a page, which are asked before those that it was given earlier: `told` are the summaries by id, `tell(...summaries)` changes some, those in `silent` grow old,
+ * `images` are the telescopes whose image was asked for. A socket takes `limits.topics` topics; `topics()` are those that the page has, and `refusals` those that it was refused, in their order.
  */
 export async function serveFifty(page, count = 50) {
   const told = new Map(Array.from({ length: count }, (_, n) => telescope(n)).map((one) => [one.id, one]));

@@ -3,23 +3,21 @@
 import { test, beforeEach, afterEach } from "node:test";
 import assert from "node:assert/strict";
 import { serveFifty } from "./fifty.js";
-import { TEST, becomes, drawnBy, least, looks, newPage, problemsOf, startAlone, tooWide, withBrowser } from "./browser.js";
+import { TEST, becomes, drawnBy, fresh, least, looks, newPage, problemsOf, startAlone, tooWide, withBrowser } from "./browser.js";
 
 const [alone, browser] = await withBrowser(startAlone());
-let page, server, problems;
+const page = await newPage(browser);
+const problems = problemsOf(page);
+let server;
 
 beforeEach(async () => {
-  page = await newPage(browser, { viewport: { width: 1280, height: 900 } });
-  problems = problemsOf(page);
+  await fresh(page, { viewport: { width: 1280, height: 900 }, problems });
   server = await serveFifty(page);
   await page.goto(alone.url);
   await page.locator('[data-testid="tile"]').nth(49).waitFor();
 }, TEST);
 
-afterEach(async () => {
-  server?.end();
-  await page?.close();
-}, TEST);
+afterEach(() => server?.end());
 
 const WORST = ["san-pedro/taygete", "paranal/ananke31", "sutherland/amalthea44"];
 const ids = (selector, name) => page.locator(selector).evaluateAll((all, attribute) => all.map((one) => one.getAttribute(attribute)), name);

@@ -2,7 +2,7 @@
 // Nothing of it becomes markup or an address, nothing leads away from the page, and a part that cannot be drawn leaves the others alone.
 import { test } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, becomes, everyAddress, follow, newPage, problemsOf, startRecorded, withBrowser } from "./browser.js";
+import { TEST, becomes, everyAddress, follow, fresh, newPage, problemsOf, startRecorded, withBrowser } from "./browser.js";
 
 const MARKUP = '"><img src=x onerror="document.title=\'taken\';window.taken=1"><script>window.taken=1</script><a href="javascript:window.taken=1">{{7*7}}</a>';
 const LONG = `${"W".repeat(3000)} ${"long words ".repeat(100)}`;
@@ -28,27 +28,27 @@ function* mistyped(body) {
 
 const [bus, browser] = await withBrowser(startRecorded());
 const recorded = await bus.states();
-let page, problems;
+const page = await newPage(browser);
+const problems = problemsOf(page);
+// How many answers the page has asked for and not read yet.
+await page.addInitScript(() => {
+  const { fetch } = window;
+  window.asked = 0;
+  window.fetch = async (...given) => {
+    window.asked += 1;
+    try {
+      const answer = await fetch(...given);
+      await answer.clone().arrayBuffer();
+      return answer;
+    } finally {
+      window.asked -= 1;
+    }
+  };
+});
 
+/** The page as new, of what the bus has now. */
 async function openPage() {
-  await page?.close();
-  page = await newPage(browser, { viewport: { width: 390, height: 844 } });
-  problems = problemsOf(page);
-  // How many answers the page has asked for and not read yet.
-  await page.addInitScript(() => {
-    const { fetch } = window;
-    window.asked = 0;
-    window.fetch = async (...given) => {
-      window.asked += 1;
-      try {
-        const answer = await fetch(...given);
-        await answer.clone().arrayBuffer();
-        return answer;
-      } finally {
-        window.asked -= 1;
-      }
-    };
-  });
+  await fresh(page, { viewport: { width: 390, height: 844 }, problems });
   await page.goto(bus.url);
   await page.locator('[data-testid="tile"][data-telescope="demo/alpha"]').waitFor();
 }

@@ -1,28 +1,28 @@
 // What is no longer known is told in the past tense, what is cut is said to be cut, and each answer has the night, the window and the day that it is of.
 import { test, beforeEach } from "node:test";
 import assert from "node:assert/strict";
-import { TEST, becomes, newPage, settled, startRecorded, tooWide, withBrowser } from "./browser.js";
+import { TEST, becomes, fresh, newPage, settled, startRecorded, tooWide, withBrowser } from "./browser.js";
 
 const ID = "demo/alpha";
 const [bus, browser] = await withBrowser(startRecorded());
 const recorded = await bus.states();
-let page, shift, change;
+const page = await newPage(browser);
+let shift, change;
+// The server's clock may be later, and its summaries other ones.
+await page.routeWebSocket(/\/api\/v1\/ws$/, (socket) => {
+  const server = socket.connectToServer();
+  server.onMessage((message) => {
+    const told = JSON.parse(String(message));
+    if (told.at_utc) told.at_utc = new Date(Date.parse(told.at_utc) + shift).toISOString();
+    for (const [id, summary] of Object.entries((told.topic === "net" && told.data.items) || {})) Object.assign(summary, change(id));
+    socket.send(JSON.stringify(told));
+  });
+});
 
 beforeEach(async () => {
   await bus.reset();
-  await page?.close();
+  await fresh(page, { viewport: { width: 1280, height: 900 } });
   [shift, change] = [0, (_) => ({})];
-  page = await newPage(browser, { viewport: { width: 1280, height: 900 } });
-  // The server's clock may be later, and its summaries other ones.
-  await page.routeWebSocket(/\/api\/v1\/ws$/, (socket) => {
-    const server = socket.connectToServer();
-    server.onMessage((message) => {
-      const told = JSON.parse(String(message));
-      if (told.at_utc) told.at_utc = new Date(Date.parse(told.at_utc) + shift).toISOString();
-      for (const [id, summary] of Object.entries((told.topic === "net" && told.data.items) || {})) Object.assign(summary, change(id));
-      socket.send(JSON.stringify(told));
-    });
-  });
 }, TEST);
 
 async function open(address) {
@@ -58,7 +58,8 @@ test("the verdict and the guiding of a node that died are told as what they were
 test("each page asks for the night that the telescope has now, not for that of UTC", TEST, async () => {
   change = () => ({ night: "20261128" });
   const nights = [];
-  page.on("request", (request) => { const found = /\/nights\/(\d{8})\/report|[?&]night=(\d{8})/.exec(request.url()); if (found) nights.push(found[1] ?? found[2]); });
+  const note = (request) => { const found = /\/nights\/(\d{8})\/report|[?&]night=(\d{8})/.exec(request.url()); if (found) nights.push(found[1] ?? found[2]); };
+  page.on("request", note);
   for (const address of ["", "/focus", "/lightcurve", "/frames", "/report", "/schedule"]) {
     nights.length = 0;
     await open(`/t/${ID}${address}`);
@@ -71,6 +72,7 @@ test("each page asks for the night that the telescope has now, not for that of U
     if (address === "/") await page.locator('[data-testid="nights"]').scrollIntoViewIfNeeded();
     await becomes(() => [...new Set(nights)], ["20261128"], address);
   }
+  page.off("request", note);
 });
 
 test("the window of guiding goes on with the sky, its figures are of no more than it, and what is cut is said", TEST, async () => {

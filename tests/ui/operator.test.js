@@ -2,7 +2,7 @@
 import { test, beforeEach } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, becomes, boxOf, follow, newPage, problemsOf, startRecorded, withBrowser } from "./browser.js";
+import { TEST, becomes, boxOf, follow, fresh, newPage, problemsOf, startRecorded, withBrowser } from "./browser.js";
 
 const WIDE = { width: 1280, height: 900 };
 const PHONE = { width: 390, height: 844 };
@@ -10,18 +10,13 @@ const MOUNT = "demo/alpha/device/telescope/mount/state";
 
 const [bus, browser] = await withBrowser(startRecorded());
 const recorded = await bus.states();
-let page, problems;
-
-/** Another page, once `prepare(page)` has seen it. */
-async function begin(prepare = async (_) => {}) {
-  await page?.close();
-  page = await newPage(browser);
-  problems = problemsOf(page);
-  await prepare(page);
-}
-await begin();
+const page = await newPage(browser);
+const problems = problemsOf(page);
+/** How much faster than real time the sky runs, in the place of what the server says. */
+let speed = null;
 
 beforeEach(async () => {
+  speed = null;
   await bus.reset();
   await network(bus);
   problems.length = 0;
@@ -171,14 +166,15 @@ test("the words of a card stand in one line, simulated or not", TEST, async () =
 });
 
 test("under a sky that runs faster, ages say that they are of real time, and the image's is of the sky", TEST, async () => {
-  const fast = (one) => one.routeWebSocket(/\/api\/v1\/ws$/, (socket) => {
+  speed = 60;
+  await fresh(page);
+  await page.routeWebSocket(/\/api\/v1\/ws$/, (socket) => {
     const server = socket.connectToServer();
     server.onMessage((message) => {
       const told = JSON.parse(String(message));
-      socket.send(JSON.stringify(told.data?.speed ? { ...told, data: { ...told.data, speed: 60 } } : told));
+      socket.send(JSON.stringify(speed && told.data?.speed ? { ...told, data: { ...told.data, speed } } : told));
     });
   });
-  await begin(fast);
   await open("/", WIDE);
   await tile("demo/alpha").locator(".tile-f", { hasText: /\d s ago, real time/ }).waitFor();
   await page.locator("th", { hasText: /^Age, real time$/ }).waitFor();
@@ -187,7 +183,8 @@ test("under a sky that runs faster, ages say that they are of real time, and the
   for (const card of ["devices", "safety"]) await page.locator(`[data-testid="${card}"] th`, { hasText: /^Age, real time$/ }).waitFor();
   // Begun at 02:22:34 and exposed for 120 s, seen at 02:28 and later: by the sky's clock, though its frame has just been announced.
   await page.locator('[data-testid="image-age"]', { hasText: /^02:22:34, ([3-9]|\d\d) min \d+ s ago$|^02:22:34, \d+ h/ }).waitFor();
-  await begin();
+  speed = null;
+  await fresh(page);
   await open("/", WIDE);
   await tile("demo/alpha").locator(".tile-f", { hasText: /^\s*\d s ago/ }).waitFor();
   assert.equal(await page.locator("main", { hasText: "real time" }).count(), 0, "nothing of it where the sky's time is everybody's");

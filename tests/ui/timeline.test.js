@@ -2,18 +2,17 @@
 import { test } from "node:test";
 import assert from "node:assert/strict";
 import { network } from "./recorded/network.js";
-import { TEST, addressOf, becomes, boxOf, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
+import { TEST, addressOf, becomes, boxOf, fresh, newPage, problemsOf, settled, startRecorded, withBrowser } from "./browser.js";
 
 const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true };
 
 const [bus, browser] = await withBrowser(startRecorded());
 await network(bus);
-let page, problems;
+const page = await newPage(browser);
+const problems = problemsOf(page);
 
-async function open(address, options = {}) {
-  await page?.close();
-  page = await newPage(browser, { viewport: { width: 1280, height: 1000 }, ...options });
-  problems = problemsOf(page);
+async function open(address) {
+  await fresh(page, { viewport: { width: 1280, height: 1000 }, problems });
   await page.goto(bus.url + address);
   await settled(page);
 }
@@ -82,16 +81,20 @@ for (const [what, address, selector] of [["the timeline of the night", "/t/demo/
 }
 
 test("two fingers zoom the timeline, one drags it, and a touch chooses a moment", TEST, async () => {
-  await open("/t/demo/alpha", PHONE);
-  const part = page.locator('[data-testid="timeline"]');
+  // A context has touch or has not.
+  const phone = await newPage(browser, PHONE);
+  const found = problemsOf(phone);
+  await phone.goto(`${bus.url}/t/demo/alpha`);
+  await settled(phone);
+  const part = phone.locator('[data-testid="timeline"]');
   // What comes later than the page moves it no more, and no bar at the edge covers it.
   await part.locator(".b-next, .b-run").first().waitFor();
-  await page.waitForLoadState("networkidle");
+  await phone.waitForLoadState("networkidle");
   await part.evaluate((one) => one.scrollIntoView({ block: "center" }));
   const before = await shown(part);
   assert.ok(length(before) <= 7.1 * 3600e3, "a phone begins with the hours around now");
   const { x, y, width, height } = await boxOf(part);
-  const client = await page.context().newCDPSession(page);
+  const client = await phone.context().newCDPSession(phone);
   const touch = (type, ...points) => client.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([px, py], id) => ({ x: px, y: py, id })) });
   const [left, right, middle] = [x + width * 0.45, x + width * 0.6, y + height / 3];
   await touch("touchStart", [left, middle], [right, middle]);
@@ -103,9 +106,10 @@ test("two fingers zoom the timeline, one drags it, and a touch chooses a moment"
   for (const step of [20, 50, 90]) await touch("touchMove", [left + step, middle]);
   await touch("touchEnd");
   await until(part, (now) => now[0] < near[0], "one finger to the right shows what was earlier");
-  await page.touchscreen.tap(x + width / 2, middle);
-  await page.locator('[data-testid="log-here"]').waitFor();
-  assert.deepEqual(problems, []);
+  await phone.touchscreen.tap(x + width / 2, middle);
+  await phone.locator('[data-testid="log-here"]').waitFor();
+  assert.deepEqual(found, []);
+  await phone.close();
 });
 
 test("the night of all telescopes has a line for each, worst first, and a name leads to its telescope", TEST, async () => {
