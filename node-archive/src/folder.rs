@@ -25,24 +25,24 @@ pub struct Claim {
     _locks: Vec<File>,
 }
 
-/// Takes the folder of images and the database for this archive; `who` names it to others.
+/// Takes the folder of images for this archive; `who` names it to others.
 ///
 /// # Errors
 /// Another archive of this telescope writes there, or a lock file cannot be made.
-pub async fn claim(images: &Path, database: &Path, telescope: &Address, who: &str) -> anyhow::Result<Claim> {
+pub async fn claim(images: &Path, telescope: &Address, who: &str) -> anyhow::Result<Claim> {
     prepare(images, telescope).with_context(|| format!("cannot use the folder of images {}", images.display()))?;
-    let name = lock_name(telescope);
-    let mut of_database = database.as_os_str().to_owned();
-    of_database.push(format!(".{name}"));
-    let places = [
-        ("the folder of images", images, images.join(PART_FOLDER).join(&name)),
-        ("the database", database, PathBuf::from(of_database)),
-    ];
-    let mut locks = Vec::new();
-    for (what, place, file) in places {
-        locks.extend(lock(what, place, &file, who).await?);
-    }
-    Ok(Claim { _locks: locks })
+    let file = images.join(PART_FOLDER).join(lock_name(telescope));
+    Ok(Claim { _locks: lock("the folder of images", images, &file, who).await?.into_iter().collect() })
+}
+
+/// Takes the database for this archive, whose images may be on a disk that is away.
+///
+/// # Errors
+/// As those of [`claim`].
+pub async fn claim_database(database: &Path, telescope: &Address, who: &str) -> anyhow::Result<Claim> {
+    let mut file = database.as_os_str().to_owned();
+    file.push(format!(".{}", lock_name(telescope)));
+    Ok(Claim { _locks: lock("the database", database, Path::new(&file), who).await?.into_iter().collect() })
 }
 
 fn lock_name(telescope: &Address) -> String {

@@ -97,6 +97,7 @@ mod turns;
 #[path = "../../common/contract/tests/shown/mod.rs"]
 mod document;
 
+use std::ops::ControlFlow::{self, Break, Continue};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicI64;
@@ -107,7 +108,7 @@ use contract::observatory::AlertKind;
 use contract::{Address, Key, Scalar};
 use node::Node;
 use tokio::sync::Notify;
-use tokio::task::JoinSet;
+use tokio::task::{JoinError, JoinSet};
 
 use crate::database::Database;
 use crate::name::Namer;
@@ -128,8 +129,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     for note in header::check(&node.header) {
         tracing::warn!(note, "a row of the FITS-header table is left out");
     }
-    let (images, file, telescope) = (&config.folders.images, &config.archive.database, config.address());
-    let Some(_claim) = claim_folder(&node, images, file, &telescope).await? else { return Ok(()) };
+    let Some(_claim) = claim_database(&node).await? else { return Ok(()) };
     let Some((database, writer)) = open_database(&node).await? else { return Ok(()) };
     let (stored_before, complete_before) =
         Reader::open(database.path(), config.place.telescope.as_str())?.image_counts()?;
@@ -143,10 +143,9 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     let (newest, incomplete) = (Newest::default(), Arc::new(Notify::new()));
     let _history = history::serve(&node).await?;
     let _frames = frames::serve(&node).await?;
+    let stop = node.stop.clone();
 
     let mut tasks = JoinSet::new();
-    let (on_disk, found) = rebuild::OnDisk::new(node.bus.clock().utc());
-    tasks.spawn(rebuild::keep(node.clone(), database.clone(), incomplete.clone(), found));
     tasks.spawn(telemetry::keep(node.clone(), database.clone(), newest.clone()));
     tasks.spawn(notify::keep_substituting(node.clone(), None));
     tasks.spawn(diary::keep(node.clone(), database.clone()));
@@ -156,75 +155,108 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     tasks.spawn(focus::keep(node.clone(), database.clone()));
     tasks.spawn(corrections::keep(node.clone(), database.clone()));
     tasks.spawn(photometry::keep(node.clone(), database.clone()));
-    tasks.spawn(night_report::keep(node.clone(), database.clone()));
     tasks.spawn(care::keep(node.clone(), database.clone()));
-    tasks.spawn(delivery::keep(node.clone(), database.path().to_owned()));
-    tasks.spawn(recompletion::keep(node.clone(), database.clone(), incomplete.clone()));
-    tasks.spawn(store::keep(store::Store {
-        node: node.clone(),
-        database: database.clone(),
-        newest: newest.clone(),
-        namer,
-        stored: stored.clone(),
-        incomplete: incomplete.clone(),
-        count: AtomicI64::new(stored_before),
-        naming: tokio::sync::Mutex::default(),
-        on_disk,
-        failing: store::Failing::default(),
-    }));
-    tasks.spawn(pass::keep(pass::Pass {
-        node: node.clone(),
-        database,
-        newest,
-        stored,
-        incomplete,
-        count: AtomicI64::new(complete_before),
-    }));
-    let result = match node.stop.or(tasks.join_next()).await {
-        None => Ok(()),
-        Some(Some(Ok(ended))) => ended.context("a part of the archive ended"),
-        Some(Some(Err(error))) => Err(error).context("a part of the archive ended badly"),
-        Some(None) => Ok(()),
-    };
+    // Their disk may be away, which keeps nothing else waiting.
+    tasks.spawn(async move {
+        let Some(_claim) = claim_images(&node, database.path()).await? else { return Ok(()) };
+        let mut of_images = JoinSet::new();
+        let (on_disk, found) = rebuild::OnDisk::new(node.bus.clock().utc());
+        of_images.spawn(rebuild::keep(node.clone(), database.clone(), incomplete.clone(), found));
+        of_images.spawn(night_report::keep(node.clone(), database.clone()));
+        of_images.spawn(delivery::keep(node.clone(), database.path().to_owned()));
+        of_images.spawn(recompletion::keep(node.clone(), database.clone(), incomplete.clone()));
+        of_images.spawn(store::keep(store::Store {
+            node: node.clone(),
+            database: database.clone(),
+            newest: newest.clone(),
+            namer,
+            stored: stored.clone(),
+            incomplete: incomplete.clone(),
+            count: AtomicI64::new(stored_before),
+            naming: tokio::sync::Mutex::default(),
+            on_disk,
+            failing: store::Failing::default(),
+        }));
+        of_images.spawn(pass::keep(pass::Pass {
+            node: node.clone(),
+            database,
+            newest,
+            stored,
+            incomplete,
+            count: AtomicI64::new(complete_before),
+        }));
+        first_to_end(of_images.join_next().await)
+    });
+    let result = stop.or(tasks.join_next()).await.map_or(Ok(()), first_to_end);
     // The last clones of the database go with the tasks, and then the writer ends with everything written.
     tasks.shutdown().await;
     writer.end().await;
     result
 }
 
+/// What the first part that ended says.
+fn first_to_end(ended: Option<Result<anyhow::Result<()>, JoinError>>) -> anyhow::Result<()> {
+    match ended {
+        Some(Ok(ended)) => ended.context("a part of the archive ended"),
+        Some(Err(error)) => Err(error).context("a part of the archive ended badly"),
+        None => Ok(()),
+    }
+}
+
 /// A database that cannot be opened is tried again after this.
 const AGAIN: Duration = Duration::from_secs(15);
 
+/// Takes the database, again and again while the disk refuses it; absent when the node is stopped before.
+async fn claim_database(node: &Node) -> anyhow::Result<Option<folder::Claim>> {
+    let (file, telescope, who) = (&node.config.archive.database, node.config.address(), node.signature());
+    loop {
+        let taken = folder::claim_database(file, &telescope, &who).await;
+        if let Break(claim) = claimed(node, "archive.database", "nothing is archived", taken).await? {
+            return Ok(claim);
+        }
+    }
+}
+
 /// Takes the folder of images, again and again while the disk refuses it or is away; absent when the node is stopped before.
+async fn claim_images(node: &Node, database: &Path) -> anyhow::Result<Option<folder::Claim>> {
+    let (images, telescope, who) = (&node.config.folders.images, node.config.address(), node.signature());
+    loop {
+        let (bare, file, name) = (images.clone(), database.to_owned(), telescope.clone());
+        let taken = match tokio::task::spawn_blocking(move || disk_is_there(&bare, &file, &name)).await? {
+            Ok(()) => folder::claim(images, &telescope, &who).await,
+            Err(away) => Err(away.into()),
+        };
+        if let Break(claim) = claimed(node, "folders.images", "no frame is archived", taken).await? {
+            return Ok(claim);
+        }
+    }
+}
+
+/// Goes on with what was taken of the configuration's entry `name`; where the disk refuses it, an alert tells what is
+/// `missing`, and it is to be tried again after a pause. Absent when the node is stopped before.
 ///
 /// # Errors
 /// Another archive has it.
-async fn claim_folder(
+async fn claimed(
     node: &Node,
-    images: &Path,
-    database: &Path,
-    telescope: &Address,
-) -> anyhow::Result<Option<folder::Claim>> {
-    loop {
-        let claimed = match disk_is_there(images, database, telescope) {
-            Ok(()) => folder::claim(images, database, telescope, &node.signature()).await,
-            Err(away) => Err(away.into()),
-        };
-        let why = match claimed {
-            Ok(claim) => {
-                node.alerts.clear(AlertKind::Configuration, "folders.images");
-                return Ok(Some(claim));
-            }
-            Err(error) if error.chain().any(|cause| cause.is::<std::io::Error>()) => error,
-            Err(taken) => return Err(taken),
-        };
-        let why =
-            format!("folders.images: {why:#}; no frame is archived until it can be used, which is tried each 15 s");
-        node.alerts.raise(AlertKind::Configuration, "folders.images", &why);
-        if node.stop.or(tokio::time::sleep(AGAIN)).await.is_none() {
-            return Ok(None);
+    name: &str,
+    missing: &str,
+    taken: anyhow::Result<folder::Claim>,
+) -> anyhow::Result<ControlFlow<Option<folder::Claim>>> {
+    let why = match taken {
+        Ok(claim) => {
+            node.alerts.clear(AlertKind::Configuration, name);
+            return Ok(Break(Some(claim)));
         }
-    }
+        Err(error) if error.chain().any(|cause| cause.is::<std::io::Error>()) => error,
+        Err(taken) => return Err(taken),
+    };
+    let why = format!("{name}: {why:#}; {missing} until it can be used, which is tried each 15 s");
+    node.alerts.raise(AlertKind::Configuration, name, &why);
+    Ok(match node.stop.or(tokio::time::sleep(AGAIN)).await {
+        Some(()) => Continue(()),
+        None => Break(None),
+    })
 }
 
 /// Proves that the folder of images is not the bare place of a disk: what was written there would lie under the disk later.
@@ -273,7 +305,7 @@ pub async fn restore(config: &config::Observatory, copy: &Path) -> anyhow::Resul
     let database = &config.archive.database;
     let who = "starmesh archive restore";
     let telescope = config.address();
-    let _claim = folder::claim(&config.folders.images, database, &telescope, who).await?;
+    let _claim = folder::claim_database(database, &telescope, who).await?;
     let _others = folder::claim_from_others(database, &telescope, who).await?;
     let (copy, database) = (copy.to_owned(), database.clone());
     tokio::task::spawn_blocking(move || database::restore(&copy, &database)).await?

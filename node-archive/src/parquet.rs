@@ -112,7 +112,7 @@ pub async fn refill(config: &config::Observatory, from: &Path, into: &Path) -> a
     );
     let _claim = if into == config.archive.database {
         let who = "starmesh archive rebuild";
-        Some(folder::claim(&config.folders.images, into, &config.address(), who).await?)
+        Some(folder::claim_database(into, &config.address(), who).await?)
     } else {
         None
     };

@@ -8,19 +8,19 @@ fn telescope(name: &str) -> Address {
 async fn a_second_archive_of_one_telescope_is_refused_and_the_first_one_named() {
     let folder = tempfile::tempdir().unwrap();
     let (images, database) = (folder.path().join("images"), folder.path().join("data/archive.db"));
-    let first = claim(&images, &database, &telescope("callisto"), "archive/callisto/main").await.unwrap();
-    let other_data = folder.path().join("other/archive.db");
-    let refused = claim(&images, &other_data, &telescope("callisto"), "archive/callisto/two").await.unwrap_err();
-    let refused = refused.to_string();
+    let first = claim(&images, &telescope("callisto"), "archive/callisto/main").await.unwrap();
+    let of_database = claim_database(&database, &telescope("callisto"), "archive/callisto/main").await.unwrap();
+    let refused = claim(&images, &telescope("callisto"), "archive/callisto/two").await.unwrap_err().to_string();
     assert!(refused.contains("archive node archive/callisto/main, process"), "{refused}");
     assert!(refused.contains("store every frame twice") && refused.contains("[folders] images"), "{refused}");
-    let other_images = folder.path().join("elsewhere");
-    let refused = claim(&other_images, &database, &telescope("callisto"), "two").await.unwrap_err().to_string();
+    let refused = claim_database(&database, &telescope("callisto"), "two").await.unwrap_err().to_string();
     assert!(refused.starts_with("the database "), "{refused}");
     // Telescopes of one site may share both.
-    claim(&images, &database, &telescope("europa"), "archive/europa/main").await.unwrap();
-    drop(first);
-    claim(&images, &database, &telescope("callisto"), "archive/callisto/two").await.unwrap();
+    claim(&images, &telescope("europa"), "archive/europa/main").await.unwrap();
+    claim_database(&database, &telescope("europa"), "archive/europa/main").await.unwrap();
+    drop((first, of_database));
+    claim(&images, &telescope("callisto"), "archive/callisto/two").await.unwrap();
+    claim_database(&database, &telescope("callisto"), "archive/callisto/two").await.unwrap();
 }
 
 #[cfg(unix)]
@@ -32,7 +32,7 @@ async fn a_link_in_place_of_the_archives_own_folder_is_never_swept() {
     fs::create_dir_all(victim.join("paranal-callisto")).unwrap();
     fs::write(victim.join("paranal-callisto/letter"), "dear").unwrap();
     std::os::unix::fs::symlink(&victim, images.join(PART_FOLDER)).unwrap();
-    let _claim = claim(&images, &folder.path().join("a.db"), &telescope("callisto"), "main").await.unwrap();
+    let _claim = claim(&images, &telescope("callisto"), "main").await.unwrap();
     clear_parts(&images, &telescope("callisto")).unwrap();
     assert!(victim.join("paranal-callisto/letter").exists());
     assert!(fs::symlink_metadata(images.join(PART_FOLDER)).unwrap().is_dir());

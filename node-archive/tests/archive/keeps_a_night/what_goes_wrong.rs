@@ -8,11 +8,11 @@ use axum::body::{Body, Bytes};
 use axum::routing::get;
 use bus::Catch;
 use contract::Key;
-use contract::archive::Stored;
+use contract::archive::{Ask, Stored};
 use futures_util::StreamExt as _;
 use test_support::{join, serve, until};
 
-use super::{Spool, address, archive, files, recv_stored, run, two_buses};
+use super::{Spool, address, archive, ask, files, recv_stored, run, two_buses};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn two_spools_that_dribble_do_not_stop_a_third() {
@@ -65,6 +65,7 @@ async fn an_archive_that_starts_while_its_disk_is_away_writes_nothing_into_the_p
     })
     .await;
     assert_eq!(std::fs::read_dir(&images).unwrap().count(), 0);
+    assert_eq!(ask(&spool.bus, Ask::Frames).await.len(), 1, "what needs no disk goes on");
     running.stop().await;
     // A person says that the folder is a new one.
     std::fs::create_dir(images.join(".part")).unwrap();
