@@ -3,6 +3,7 @@
 //! The observatory node publishes a run once, when it has ended, with all its points; an archive that was away can
 //! recover it from the bus. The archive draws the plot from the points, so that only numbers are published.
 
+use anyhow::Context as _;
 use bus::Catch;
 use contract::observatory::{FocusCurve, FocusPass, FocusRun};
 use contract::{Key, Scalar};
@@ -11,6 +12,7 @@ use imaging::focus::sweep::{FocusFit, FocusMeasurement, Pass};
 use imaging::focus::{Better, Hyperbola, SMOOTHERS};
 use imaging::quality::Estimate;
 use node::Node;
+use tokio::sync::mpsc;
 
 use crate::database::{Database, StoredRun, Write};
 use crate::folder::put;
@@ -21,32 +23,36 @@ const FOLDER: &str = "autofocus";
 /// Runs that wait here when the database is slow.
 const WAITING: usize = 256;
 
-/// Stores the focus runs of this telescope.
-pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
+/// Stores the focus runs of this telescope; the plot of each is for [`draw`], whose disk may be away.
+pub async fn keep(node: Node, database: Database, plots: mpsc::UnboundedSender<FocusRun>) -> anyhow::Result<()> {
     let key = Key::FocusRun(node.config.address());
     let runs = node.bus.subscribe::<FocusRun>(&key.to_string(), Catch::All, WAITING).await?;
     let mut count = 0;
     loop {
         let received = runs.recv().await;
         let (run, at) = (received.sample.body, received.sample.at_utc);
-        let plot = plot_name(&run);
-        let stored = StoredRun {
-            plot: plot.clone(),
-            at,
-            origin: (received.sample.boot_id, received.sample.seq),
-            run: run.clone(),
-        };
+        let origin = (received.sample.boot_id, received.sample.seq);
+        let stored = StoredRun { plot: plot_name(&run), at, origin, run: run.clone() };
         database.commit(vec![Write::Focus(Box::new(stored))]).await?;
+        // Without a receiver the archive ends.
+        let _ = plots.send(run);
+        count += 1;
+        node.figure("focus_runs", Scalar::Int(count));
+    }
+}
+
+/// Writes the plots next to the frames.
+pub async fn draw(node: Node, mut plots: mpsc::UnboundedReceiver<FocusRun>) -> anyhow::Result<()> {
+    loop {
+        let run = plots.recv().await.context("no more focus runs come")?;
         let (images, title) = (node.config.folders.images.clone(), node.config.place.telescope.to_string());
-        let drawn =
-            tokio::task::spawn_blocking(move || put(&images, &images.join(&plot), svg(&run, &title).as_bytes()))
-                .await?;
-        if let Err(error) = drawn {
+        let drawn = tokio::task::spawn_blocking(move || {
+            put(&images, &images.join(plot_name(&run)), svg(&run, &title).as_bytes())
+        });
+        if let Err(error) = drawn.await? {
             // The numbers are in the database.
             tracing::warn!(%error, "the plot of a focus run could not be written");
         }
-        count += 1;
-        node.figure("focus_runs", Scalar::Int(count));
     }
 }
 

@@ -30,6 +30,30 @@ fn off(sample: &Correction, off_px: Option<f64>) -> Correction {
     Correction { dx_px: along(-1.0), dy_px: along(0.0), ..sample.clone() }
 }
 
+/// What a camera that guides wrote of a frame whose stars stood so far from where they are held.
+fn correction(sample: &Correction, id: &str, camera: &str, second: f64, off_px: f64) -> Write {
+    let axis = |error_px| AxisCorrection { error_px: Some(error_px), ..sample.east.clone() };
+    let correction = Correction {
+        frame: CommandId(id.to_owned()),
+        camera: camera.to_owned(),
+        mid_utc: at(second),
+        reference: CommandId("reference".to_owned()),
+        east: axis(off_px),
+        north: axis(0.0),
+        ..off(sample, Some(off_px))
+    };
+    let stored = StoredCorrection { correction, telescope: "callisto".to_owned(), origin: (BootId::fresh(), 0) };
+    Write::Correction(Box::new(stored))
+}
+
+/// A frame that is stored.
+fn image(id: &str, frame: Frame) -> Write {
+    let frame = Frame { id: CommandId(id.to_owned()), ..frame };
+    let stored = frame.started_utc.plus_seconds(40.0);
+    let image = StoredImage { frame, file: format!("{id}.fits"), bytes: 5760, stored };
+    Write::Stored(Box::new(image), PathBuf::from(id))
+}
+
 /// Not how well the distance was measured, which is the `error_px` beside it.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_guide_error_is_the_distance_of_the_stars_from_where_they_are_held() {
@@ -147,34 +171,16 @@ async fn the_frames_that_guided_are_the_same_for_the_keyword_the_view_of_the_dat
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("archive.db");
     let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
-    let image = |id: &str, second: f64| {
-        let frame = Frame { id: CommandId(id.to_owned()), ..frame("object", second) };
-        let image = StoredImage { frame, file: format!("{id}.fits"), bytes: 5760, stored: at(second + 40.0) };
-        Write::Stored(Box::new(image), PathBuf::from(id))
-    };
     // A pixel of both is 2 arcsec.
     let scale = |id: &str, camera: &str| {
         let (frame, camera) = (CommandId(id.to_owned()), Some(camera.to_owned()));
         let facts = FrameFacts { frame, camera, scale_arcsec_px: Some(2.0), ..Default::default() };
         Write::Facts(Box::new(StoredFacts { facts, at: at(0.0), origin: (BootId::fresh(), 0) }))
     };
-    let correction = |id: &str, camera: &str, second: f64, off_px: f64| {
-        let axis = |error_px| AxisCorrection { error_px: Some(error_px), ..sample.east.clone() };
-        let correction = Correction {
-            frame: CommandId(id.to_owned()),
-            camera: camera.to_owned(),
-            mid_utc: at(second),
-            reference: CommandId("reference".to_owned()),
-            east: axis(off_px),
-            north: axis(0.0),
-            ..off(&sample, Some(off_px))
-        };
-        let stored = StoredCorrection { correction, telescope: "callisto".to_owned(), origin: (BootId::fresh(), 0) };
-        Write::Correction(Box::new(stored))
-    };
+    let correction = |id, camera, second, off_px| correction(&sample, id, camera, second, off_px);
     let writes = vec![
-        image("own", 0.0),
-        image("other", 100.0),
+        image("own", frame("object", 0.0)),
+        image("other", frame("object", 100.0)),
         scale("own", "andor"),
         scale("g-1", "guider"),
         // Guided on itself; what the guide camera saw meanwhile is in other pixels, whatever their number.
@@ -202,6 +208,65 @@ async fn the_frames_that_guided_are_the_same_for_the_keyword_the_view_of_the_dat
     let held = report::make(&reader.night_events(&night, night.to).unwrap()).guiding;
     let held: Vec<_> = held.iter().map(|of| (of.camera.as_str(), of.bin.is_some(), of.frames, of.rms_px)).collect();
     assert_eq!(held, [("andor", true, 1, 3.0), ("guider", false, 2, 50_f64.sqrt())]);
+    drop(database);
+    writer.end().await;
+}
+
+/// The night is asked about in one question; each of its frames is held by what held it alone.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_night_was_held_by_what_held_each_frame_of_a_target_and_each_measurement_counts_once_for_an_object() {
+    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
+    let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("archive.db");
+    let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
+    let image = |id: &str, camera: &str, object: &str, second: f64| {
+        let plain = frame("object", second);
+        let purpose = Purpose { object: Some(object.to_owned()), ..plain.purpose };
+        image(id, Frame { purpose, camera: camera.to_owned(), ..plain })
+    };
+    let correction = |id, camera, second, off_px| correction(&sample, id, camera, second, off_px);
+    let writes = vec![
+        image("a", "andor", "A", 0.0),
+        // Exposed by another camera meanwhile.
+        image("b", "second", "A", 10.0),
+        image("c", "andor", "B", 40.0),
+        image("d", "andor", "B", 100.0),
+        image("nobody held it", "andor", "C", 1000.0),
+        self::image("of no target", frame("calibration", 20.0)),
+        correction("g-1", "guider", 15.0, 3.0),
+        correction("g-2", "guider", 35.0, 4.0),
+        // In the last moment of one exposure and the first of the next.
+        correction("g-3", "guider", 40.0, 5.0),
+        correction("g-4", "guider", 60.0, 6.0),
+        correction("g-5", "guider", 70.000_001, 50.0),
+        // A camera that measured less.
+        correction("third-1", "third", 50.0, 50.0),
+        // Guided on itself, while the guide camera measured more.
+        correction("d", "andor", 115.0, 2.0),
+        correction("g-6", "guider", 110.0, 50.0),
+        correction("g-7", "guider", 120.0, 50.0),
+    ];
+    database.commit(writes).await.unwrap();
+    let reader = Reader::open(&path, "callisto").unwrap();
+    let night = |from_s, to_s| Night { date: "20261120".parse().unwrap(), from: at(from_s), to: at(to_s) };
+    let held = |night: Night| {
+        let guiding = reader.night_events(&night, night.to).unwrap().guiding;
+        let of = |of: report::events::GuideRecord| (of.object.unwrap_or_default(), of.camera, of.bin, of.off_px);
+        guiding.into_iter().map(of).collect::<Vec<_>>()
+    };
+    let of = |object: &str, camera: &str, bin, off_px| (object.to_owned(), camera.to_owned(), bin, off_px);
+    let expected = [
+        of("A", "guider", None, 3.0),
+        of("A", "guider", None, 4.0),
+        of("A", "guider", None, 5.0),
+        of("B", "guider", None, 5.0),
+        of("B", "guider", None, 6.0),
+        of("B", "andor", Some(1), 2.0),
+    ];
+    assert_eq!(held(night(-3600.0, 3600.0)), expected);
+    assert!(held(night(500.0, 3600.0)).is_empty(), "no frame of it was held");
+    assert!(held(night(2000.0, 3600.0)).is_empty(), "it has no frame");
     drop(database);
     writer.end().await;
 }

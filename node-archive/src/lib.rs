@@ -107,7 +107,7 @@ use anyhow::Context as _;
 use contract::observatory::AlertKind;
 use contract::{Address, Key, Scalar};
 use node::Node;
-use tokio::sync::Notify;
+use tokio::sync::{Notify, mpsc};
 use tokio::task::{JoinError, JoinSet};
 
 use crate::database::Database;
@@ -145,6 +145,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     let _frames = frames::serve(&node).await?;
     let stop = node.stop.clone();
 
+    let (plots, to_draw) = mpsc::unbounded_channel();
     let mut tasks = JoinSet::new();
     tasks.spawn(telemetry::keep(node.clone(), database.clone(), newest.clone()));
     tasks.spawn(notify::keep_substituting(node.clone(), None));
@@ -152,20 +153,23 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     tasks.spawn(audit::keep(node.clone(), database.clone()));
     tasks.spawn(happenings::keep(node.clone(), database.clone()));
     tasks.spawn(facts::keep(node.clone(), database.clone(), incomplete.clone()));
-    tasks.spawn(focus::keep(node.clone(), database.clone()));
+    tasks.spawn(focus::keep(node.clone(), database.clone(), plots));
     tasks.spawn(corrections::keep(node.clone(), database.clone()));
-    tasks.spawn(photometry::keep(node.clone(), database.clone()));
     tasks.spawn(care::keep(node.clone(), database.clone()));
-    // Their disk may be away, which keeps nothing else waiting.
-    tasks.spawn(async move {
-        let Some(_claim) = claim_images(&node, database.path()).await? else { return Ok(()) };
-        let mut of_images = JoinSet::new();
+    // The disk of images may be away, which keeps nothing else waiting.
+    let claimed = tokio::select! {
+        ended = tasks.join_next() => first_to_end(ended).map(|()| None),
+        claimed = claim_images(&node, database.path()) => claimed,
+    };
+    let result = if let Ok(Some(_)) = &claimed {
         let (on_disk, found) = rebuild::OnDisk::new(node.bus.clock().utc());
-        of_images.spawn(rebuild::keep(node.clone(), database.clone(), incomplete.clone(), found));
-        of_images.spawn(night_report::keep(node.clone(), database.clone()));
-        of_images.spawn(delivery::keep(node.clone(), database.path().to_owned()));
-        of_images.spawn(recompletion::keep(node.clone(), database.clone(), incomplete.clone()));
-        of_images.spawn(store::keep(store::Store {
+        tasks.spawn(rebuild::keep(node.clone(), database.clone(), incomplete.clone(), found));
+        tasks.spawn(night_report::keep(node.clone(), database.clone()));
+        tasks.spawn(delivery::keep(node.clone(), database.path().to_owned()));
+        tasks.spawn(recompletion::keep(node.clone(), database.clone(), incomplete.clone()));
+        tasks.spawn(photometry::keep(node.clone(), database.clone()));
+        tasks.spawn(focus::draw(node.clone(), to_draw));
+        tasks.spawn(store::keep(store::Store {
             node: node.clone(),
             database: database.clone(),
             newest: newest.clone(),
@@ -177,7 +181,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
             on_disk,
             failing: store::Failing::default(),
         }));
-        of_images.spawn(pass::keep(pass::Pass {
+        tasks.spawn(pass::keep(pass::Pass {
             node: node.clone(),
             database,
             newest,
@@ -185,13 +189,15 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
             incomplete,
             count: AtomicI64::new(complete_before),
         }));
-        first_to_end(of_images.join_next().await)
-    });
-    let result = stop.or(tasks.join_next()).await.map_or(Ok(()), first_to_end);
+        stop.or(tasks.join_next()).await.map_or(Ok(()), first_to_end)
+    } else {
+        drop(database);
+        Ok(())
+    };
     // The last clones of the database go with the tasks, and then the writer ends with everything written.
     tasks.shutdown().await;
     writer.end().await;
-    result
+    claimed.and(result)
 }
 
 /// What the first part that ended says.

@@ -19,7 +19,7 @@ use rusqlite::{Connection, ErrorCode, OptionalExtension as _, Row, params};
 use serde::de::DeserializeOwned;
 use units::Utc;
 
-pub use search::FoundFrames;
+pub use search::{FoundFrames, IMAGE_TYPES};
 
 use crate::database::{DatabaseError, StoredFacts, StoredImage, holding, read_only, stamp};
 use crate::night::NightFrame;
@@ -154,17 +154,30 @@ impl Reader {
 
     /// The guided frames by which a telescope was held during the exposure of a frame: of one camera.
     pub fn guided_frames(&self, telescope: &str, frame: &Frame) -> Result<Vec<GuidedFrame>, DatabaseError> {
+        Ok(self.guided_frames_of(telescope, &[frame])?.into_iter().map(|(_, guided)| guided).collect())
+    }
+
+    /// The same of several frames in one question, each with the place in the list of the frame that it held, in the order
+    /// of the list.
+    fn guided_frames_of(&self, telescope: &str, frames: &[&Frame]) -> Result<Vec<(usize, GuidedFrame)>, DatabaseError> {
         let sql = concat!(
-            "SELECT guide_id, camera, shift_x, shift_y,
+            "SELECT held.frame_id AS place, guide_id, camera, shift_x, shift_y,
                 iif(json_valid(images.frame), json_extract(images.frame, '$.bin'), NULL) AS bin FROM (",
-            holding!("(SELECT '' AS frame_id, ?1 AS telescope, ?2 AS camera_name, ?3 AS begins, ?4 AS ends)"),
-            ") AS held LEFT JOIN images ON images.frame_id = guide_id"
+            holding!(
+                "(SELECT key AS frame_id, ?1 AS telescope, value ->> 0 AS camera_name, value ->> 1 AS begins,
+                    value ->> 2 AS ends FROM json_each(?2))"
+            ),
+            ") AS held LEFT JOIN images ON images.frame_id = guide_id ORDER BY place, guide_id"
         );
-        let ends = frame.started_utc.plus_seconds(frame.exposure_s);
-        self.list(sql, params![telescope, frame.camera, stamp(frame.started_utc), stamp(ends)], |row| {
+        let span = |frame: &&Frame| {
+            let ends = frame.started_utc.plus_seconds(frame.exposure_s);
+            serde_json::json!([frame.camera, stamp(frame.started_utc), stamp(ends)])
+        };
+        let spans = serde_json::Value::from_iter(frames.iter().map(span)).to_string();
+        self.list(sql, params![telescope, spans], |row| {
             let (x_px, y_px): (f64, f64) = (row.get("shift_x")?, row.get("shift_y")?);
             let (id, camera, bin) = (row.get("guide_id")?, row.get("camera")?, row.get("bin")?);
-            Ok(GuidedFrame { id, camera, bin, off_px: x_px.hypot(y_px) })
+            Ok((row.get::<_, u32>("place")? as usize, GuidedFrame { id, camera, bin, off_px: x_px.hypot(y_px) }))
         })
     }
 

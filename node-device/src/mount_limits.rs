@@ -393,6 +393,10 @@ impl LimitWatch {
 }
 
 #[cfg(test)]
+#[path = "mount_limits_reached_tests.rs"]
+mod reached_tests;
+
+#[cfg(test)]
 #[path = "mount_limits_scenario_tests.rs"]
 mod scenario_tests;
 

@@ -5,10 +5,11 @@ use std::time::Duration;
 use audit::{Audit, Entry};
 use config::FaultPolicy;
 use contract::audit::AuditOutcome;
+use contract::device::dome::Shutter;
 use contract::{CommandId, Key, Part};
 use node::Node;
 use safety::current_verdict::CurrentVerdict;
-use safety::objection::{Objection, sky_stands_against, stands_against};
+use safety::objection::{Objection, keeps_shut, sky_stands_against, stands_against};
 use schedule::Row;
 use sky::{EarthOrientation, Observer, Place, SkyError};
 use tokio::sync::watch;
@@ -16,6 +17,9 @@ use units::Utc;
 
 use crate::action_error::ActionError;
 use crate::hold::Hold;
+
+/// Looks at the shutters of all domes.
+pub type Shutters = Box<dyn Fn() -> Vec<Option<Shutter>> + Send + Sync>;
 
 /// The node with all that permits it to act, or forbids it.
 pub struct Authority {
@@ -31,6 +35,8 @@ pub struct Authority {
     pub close_request: watch::Sender<Option<String>>,
     /// People's orders and their outcomes.
     pub audit: Audit,
+    /// How the shutters of all domes are, as far as known now.
+    pub shutters: Shutters,
 }
 
 impl Authority {
@@ -68,7 +74,17 @@ impl Authority {
         self.hold.borrow().may_publish()
     }
 
-    /// The objection to a row's action, or to any action if there is no row.
+    /// Why no shut dome is opened for a dwell although the sky is safe; see [`keeps_shut`].
+    pub fn kept_shut(&self, begins: bool) -> Option<Objection> {
+        keeps_shut(&self.verdict.borrow(), begins, (self.shutters)())
+    }
+
+    /// The objection to a row that is to begin: in its place others do, and it does not wait for its opening.
+    pub fn objection_to_begin(&self, row: &Row) -> Option<Objection> {
+        self.objection(Some(row)).or_else(|| self.kept_shut(true).filter(|_| row.action.needs().opens()))
+    }
+
+    /// The objection to the action of a row at work, or to any action if there is no row.
     pub fn objection(&self, row: Option<&Row>) -> Option<Objection> {
         // A row that began now would open again what is closed before the end.
         if self.node.ending.is_stopped() {
@@ -79,7 +95,8 @@ impl Authority {
         stands_against(*self.robotic.borrow(), commands, needs_safe, || {
             let clock = self.node.bus.clock();
             let azimuth_deg = || row?.action.azimuth_deg(&self.observer(clock.utc()).ok()?);
-            sky_stands_against(&self.verdict.borrow(), clock.machine(), azimuth_deg)
+            let sky = sky_stands_against(&self.verdict.borrow(), clock.machine(), azimuth_deg);
+            sky.or_else(|| self.kept_shut(false).filter(|_| row.is_some_and(|row| row.action.needs().opens())))
         })
     }
 

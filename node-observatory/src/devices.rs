@@ -11,6 +11,7 @@ pub mod telescope;
 
 use std::time::Duration;
 
+use contract::device::dome::Shutter;
 use contract::{Device, DeviceKind, Kind, Name};
 use node::Node;
 use schedule::horizon_limits::HorizonLimits;
@@ -115,6 +116,11 @@ impl Devices {
     /// Changes whenever a dome, a mount or a cover publishes something new.
     pub fn stirred(&self) -> watch::Receiver<u64> {
         self.stirred.clone()
+    }
+
+    /// Is every dome known to be open?
+    pub fn are_domes_open(&self) -> bool {
+        self.domes.iter().all(|dome| dome.shutter() == Some(Shutter::Open))
     }
 
     /// The devices that work with a camera, as the configuration pairs them.

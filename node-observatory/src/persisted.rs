@@ -203,6 +203,12 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Persisted<T> {
         }
     }
 
+    /// Is a write under way until it is dropped.
+    #[cfg(test)]
+    pub async fn hold_pen(&self) -> OwnedMutexGuard<()> {
+        self.pen.clone().lock_owned().await
+    }
+
     fn snapshot(&self) -> (u64, T) {
         let value = self.live.borrow();
         (self.version.load(Ordering::SeqCst), value.clone())

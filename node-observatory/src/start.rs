@@ -94,6 +94,10 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         robotic: watch::channel(robotic).0,
         close_request: watch::channel(None).0,
         audit: Audit::start(node).await?,
+        shutters: {
+            let devices = devices.clone();
+            Box::new(move || devices.domes.iter().map(|dome| dome.shutter()).collect())
+        },
     });
     let site = Arc::new(ScriptedSite {
         authority: authority.clone(),

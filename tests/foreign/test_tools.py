@@ -9,14 +9,12 @@ import pathlib
 import re
 import shutil
 import sqlite3
-import subprocess
 import warnings
 from collections import Counter
 from importlib.metadata import version
 
 import numpy as np
 import pytest
-import shipped_sky
 from astropy import units as u
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
@@ -24,103 +22,14 @@ from astropy.nddata import CCDData
 from astropy.table import Table
 from astropy.time import Time
 from astropy.wcs import WCS
-from ports import free_port
+from demo_night import debian, lco, night, places, run, series  # noqa: F401 (fixtures)
 from shared import PROJECT
+from source_extractor import HOT_BELOW, JUMPED_PX, catalogues, from_catalogue, source_extractor, table_of  # noqa: F401 (a fixture)
 
 DOCUMENT = PROJECT / "docs/operator/files.md"
 BEGIN, END = "<!-- tools: begin -->\n", "<!-- tools: end -->"
 NAME = re.compile(r"\d{8}T\d{6}-\d{3}_[A-Za-z0-9+-]+_(light|acquisition|bias|dark|flat|test)(_[A-Za-z0-9+-]+){1,3}\.fits")
 SAID: dict[str, tuple[str, str]] = {}
-
-
-class Night:
-    """A demo that has ended: its files by type, and its folder."""
-
-    def __init__(self, folder: pathlib.Path):
-        self.folder = folder
-        self.files = sorted((folder / "images").glob("2*/*.fits"))
-        self.headers = {path: fits.getheader(path) for path in self.files}
-
-    def of(self, kind: str) -> list[pathlib.Path]:
-        return [path for path, header in self.headers.items() if header["IMAGETYP"] == f"{kind} Frame"]
-
-    def solved(self) -> pathlib.Path:
-        return next(path for path in self.of("Light") if self.headers[path].get("SOLVED"))
-
-
-class Series:
-    """The solved light frames of one target, what the shipped catalogue has around them, and its stars that are bright, alone and not saturated in all of them."""
-
-    EDGE_PX, ALONE_PX, LEAST_ADU, MOST_ADU = 40, 20, 3000.0, 45_000.0
-
-    def __init__(self, night: Night, paths: list[pathlib.Path]):
-        self.paths, self.headers = paths, [night.headers[path] for path in paths]
-        self.first = self.headers[0]
-        ra, dec, mag = shipped_sky.stars()
-        around = SkyCoord(self.first["RA"], self.first["DEC"], unit="deg").separation(SkyCoord(ra, dec, unit="deg"))
-        near = around < self.first["NAXIS1"] * self.first["PIXSCALE"] * u.arcsec
-        self.catalogue = ra, dec, mag = ra[near], dec[near], mag[near]
-        good = np.full(len(ra), True)
-        for path, header in zip(paths, self.headers):
-            light = fits.getdata(path) - header["BKGLEVEL"]
-            x, y = places(header, ra, dec)
-            apart = np.hypot(x[:, None] - x, y[:, None] - y)
-            np.fill_diagonal(apart, np.inf)
-            good &= (np.minimum(x, y) > self.EDGE_PX) & (x < light.shape[1] - self.EDGE_PX) & (y < light.shape[0] - self.EDGE_PX)
-            good &= apart.min(axis=1) > self.ALONE_PX
-            brightest = [light[round(y[star]) - 3:round(y[star]) + 4, round(x[star]) - 3:round(x[star]) + 4].max() for star in np.flatnonzero(good)]
-            good[good] = (self.LEAST_ADU < np.array(brightest)) & (np.array(brightest) < self.MOST_ADU)
-        self.places, self.mag = SkyCoord(ra[good], dec[good], unit="deg"), mag[good]
-
-
-def places(header, ra, dec) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows, from 0, of places in the sky."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # SWarp writes MJD-OBS alone, and astropy tells that it takes the date from there
-        return WCS(header).all_world2pix(ra, dec, 0, quiet=True)
-
-
-@pytest.fixture(scope="module")
-def series(night) -> Series:
-    """The one with the most stars that can be measured."""
-    by_target: dict[str, list[pathlib.Path]] = {}
-    for path in night.of("Light"):
-        if night.headers[path].get("SOLVED"):
-            by_target.setdefault(night.headers[path]["OBJECT"], []).append(path)
-    best = max((Series(night, paths) for paths in by_target.values() if len(paths) >= 10), key=lambda series: len(series.mag))
-    assert len(best.mag) >= 5, {target: len(paths) for target, paths in by_target.items()}
-    return best
-
-
-@pytest.fixture(scope="module")
-def night(starmesh, tmp_path_factory) -> Night:
-    """Where a kept night is given (`STARMESH_NIGHT`), that one."""
-    if given := os.environ.get("STARMESH_NIGHT"):
-        return Night(pathlib.Path(given))
-    folder = tmp_path_factory.mktemp("demo") / "night"
-    subprocess.run([starmesh, "demo", "--speed", "300", "--size-px", "1024", "--port", str(free_port()), "--keep", str(folder)],
-                   capture_output=True, timeout=600, check=False)
-    return Night(folder)
-
-
-@pytest.fixture(scope="module")
-def lco(night, starmesh, tmp_path_factory) -> list[pathlib.Path]:
-    """Copies of all files by the profile of LCO's archive."""
-    out = tmp_path_factory.mktemp("copies") / "lco"
-    run(starmesh, "fits", "convert", *night.files, "--profile", "lco", "--out", out, "--set", "SITEID=dem", "--set", "TELID=0m3a")
-    return sorted(out.iterdir())
-
-
-def run(*command, **options) -> str:
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=1800, **options)
-    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-    return done.stdout
-
-
-def debian(program: str, package: str) -> str:
-    """The version of a program's package."""
-    assert shutil.which(program), f"{program} is missing: apt-get install {package} (scripts/setup proof does)"
-    return run("dpkg-query", "-W", "-f", "${Version}", package)
 
 
 def test_names_are_plain_and_in_the_order_of_exposure(night):
@@ -241,44 +150,6 @@ def test_solve_field_says_the_parity_of_the_header(night, tmp_path):
     assert solved, said
     cd = WCS(fits.getheader(solved)).wcs.cd
     assert header["MIRRORED"] == bool(np.linalg.det(cd) > 0)
-
-
-SEX = pathlib.Path("/usr/share/source-extractor")
-HOT_BELOW = 0.3  # half of the light of a hot pixel lies within less than this part of the FWHM of a star
-JUMPED_PX = 0.2  # where the mount was moved during the exposure stars have tails, and each program has a middle of its own
-
-
-def extract(path: pathlib.Path, folder: pathlib.Path, catalogue: str, columns: tuple[str, ...], *options) -> pathlib.Path:
-    """The catalogue of what source-extractor finds with its own default configuration."""
-    (folder / "columns").write_text("\n".join(columns))
-    run("source-extractor", path, "-c", SEX / "default.sex", "-FILTER_NAME", SEX / "default.conv", "-STARNNW_NAME", SEX / "default.nnw",
-        "-PARAMETERS_NAME", folder / "columns", "-CATALOG_TYPE", "FITS_LDAC", "-CATALOG_NAME", folder / catalogue, "-VERBOSE_TYPE", "QUIET",
-        "-PIXEL_SCALE", 0, *options)  # 0: by the header's solution
-    return folder / catalogue
-
-
-def table_of(xml: pathlib.Path, name: str) -> np.ndarray:
-    """A table of the notes that source-extractor, SCAMP and PSFEx write."""
-    from astropy.io.votable import parse
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it is older than the standard
-        return next(table for table in parse(xml).iter_tables() if table.name == name).array.data
-
-
-def source_extractor(path: pathlib.Path, folder: pathlib.Path) -> tuple[np.ndarray, dict]:
-    """What source-extractor finds, and what it notes of the frame."""
-    columns = ("X_IMAGE", "Y_IMAGE", "XMIN_IMAGE", "XMAX_IMAGE", "YMIN_IMAGE", "YMAX_IMAGE", "ALPHA_J2000", "DELTA_J2000", "FLUX_APER(1)", "FLUXERR_APER(1)", "FLUX_RADIUS",
-               "FLAGS")
-    found = extract(path, folder, "found.cat", columns, "-WRITE_XML", "Y", "-XML_NAME", folder / "found.xml")
-    noted = table_of(folder / "found.xml", "Extension_Data")[0]
-    return fits.getdata(found, 2, memmap=False), {name: np.ravel(noted[name])[0] for name in noted.dtype.names}
-
-
-def from_catalogue(series: Series, found: np.ndarray | dict) -> np.ndarray:
-    """Distance, pixels, of each star of the catalogue from the source that is nearest by the coordinates that a program gave it."""
-    sources = SkyCoord(found["ALPHA_J2000"], found["DELTA_J2000"], unit="deg")
-    return series.places.match_to_catalog_sky(sources)[1].arcsec / series.first["PIXSCALE"]
 
 
 def test_source_extractor_takes_gain_saturation_and_coordinates(series, tmp_path):
@@ -432,16 +303,6 @@ def test_astroalign_finds_how_two_frames_lie(night, series):
     SAID["`astroalign`"] = (version("astroalign"), f"two frames {apart:.0f} pix apart, by {len(there)} stars: as their plate solutions say, to "
                                                    f"{np.median(off):.2f} pix")
     assert len(there) >= 10 and np.median(off) < JUMPED_PX
-
-
-@pytest.fixture(scope="module")
-def catalogues(series, tmp_path_factory) -> list[pathlib.Path]:
-    """What SCAMP and PSFEx ask source-extractor for, of each third frame: with a cut-out of each star."""
-    debian("source-extractor", "source-extractor")
-    columns = ("X_IMAGE", "Y_IMAGE", "XWIN_IMAGE", "YWIN_IMAGE", "ERRAWIN_IMAGE", "ERRBWIN_IMAGE", "ERRTHETAWIN_IMAGE", "FLUX_AUTO", "FLUXERR_AUTO",
-               "FLUX_APER(1)", "FLUXERR_APER(1)", "FLUX_RADIUS", "SNR_WIN", "ELONGATION", "FLAGS", "VIGNET(25,25)")
-    folder = tmp_path_factory.mktemp("catalogues")
-    return [extract(path, folder, f"{path.stem}.cat", columns, "-PHOT_APERTURES", 4 * series.first["FWHM"]) for path in series.paths[::3]]
 
 
 QUIET = ("-CHECKPLOT_DEV", "NULL", "-CHECKPLOT_TYPE", "NONE", "-NTHREADS", "1", "-VERBOSE_TYPE", "QUIET", "-WRITE_XML", "Y")

@@ -80,6 +80,12 @@ export async function becomes(read, wanted, told = "") {
 /** Where an element is once it has a place; what is drawn anew has none for a moment, and maybe another one then. */
 export const boxOf = (element) => becomes(() => element.boundingBox(), Boolean, "it has a place on the page");
 
+/** What an element says, with single blanks. */
+export const text = (locator) => locator.evaluate((one) => one.innerText.replace(/\s+/g, " "));
+
+/** Are two numbers no further apart than that? */
+export const near = (a, b, most) => Math.abs(a - b) <= most;
+
 /** The address that a page shows. */
 export const addressOf = (page) => { const { pathname, searchParams } = new URL(page.url()); return { pathname, ...Object.fromEntries(searchParams) }; };
 

@@ -8,6 +8,7 @@ use units::Utc;
 
 use crate::frame_search::{FoundFrame, FrameSearch};
 use crate::log_search::LogSearch;
+use crate::observatory::Priority;
 use crate::{CommandId, Kind, Payload, Scalar};
 
 /// A file is safe on disk; information, not the acknowledgement to the spool (that is `release`).
@@ -85,6 +86,8 @@ pub enum Ask {
     Audit,
     /// Corrections of the guide loop.
     Corrections,
+    /// Alerts that stood in that time, also those that are over, in the order in which they were raised.
+    Alerts,
 }
 
 /// A property of a device.
@@ -180,6 +183,27 @@ pub enum ArchiveRow {
     Audit(Box<crate::audit::AuditRecord>),
     /// A correction of the guide loop.
     Correction(Box<crate::observatory::Correction>),
+    /// An alert that stood, whether or not it is over.
+    Alert(PastAlert),
+}
+
+/// An alert as the archive knows it: raised again after it was over, it is another one of the same id.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct PastAlert {
+    /// Names the cause, such as `dome-not-closed/dome_1`.
+    pub id: String,
+    /// How urgent.
+    pub priority: Priority,
+    /// Sky time when it was raised.
+    pub raised_utc: Utc,
+    /// Sky time when it was over; absent while it stands.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cleared_utc: Option<Utc>,
+    /// What happened, as it was said last.
+    pub cause: String,
+    /// The person who saw to it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acknowledged_by: Option<String>,
 }
 
 /// A property over a time.

@@ -1,5 +1,13 @@
 //! The host that a node runs on.
 
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// What the clock of this host says, s since 1970; not sky time, which runs faster at a simulated site. It is for files that
+/// a later run reads: nothing that has to be right may depend on it, since such a clock can be wrong and be set.
+pub fn now_s() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs()
+}
+
 /// This host's name, as its shell, Windows or the Linux kernel reports it; empty if none does.
 pub fn host_name() -> String {
     let of_the_shell = std::env::var("HOSTNAME").or_else(|_| std::env::var("COMPUTERNAME"));

@@ -41,7 +41,7 @@ pub mod watchdog;
 
 pub use alerts::{NodeAlerts, StandingAlerts};
 pub use disk::free_gb;
-pub use host::{host_name, kernel_boot_id};
+pub use host::{host_name, kernel_boot_id, now_s};
 pub use node::{Node, SUPERVISOR};
 pub use options::NodeOptions;
 pub use step_back::step_back;

@@ -7,12 +7,13 @@
 use std::fmt::Display;
 use std::path::PathBuf;
 use std::sync::OnceLock;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::Context as _;
 use contract::observatory::AlertKind;
 
 use crate::Node;
+use crate::host::now_s;
 
 /// So many ends ...
 pub const MANY: usize = 3;
@@ -127,10 +128,6 @@ pub fn is_open(config: &config::Observatory, role: impl Display, id: impl Displa
 
 fn path(config: &config::Observatory, role: impl Display, id: impl Display) -> PathBuf {
     config.folders.data.join(format!(".run-{}-{role}-{id}", config.place.telescope))
-}
-
-fn now_s() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs()
 }
 
 #[cfg(test)]

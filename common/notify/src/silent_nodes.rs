@@ -6,14 +6,14 @@
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use bus::{Catch, MachineTime};
 use config::Observatory;
 use contract::node::NodeState;
 use contract::observatory::AlertKind;
 use contract::{Key, NodeTopic, Role, Topic};
-use node::{Node, NodeAlerts};
+use node::{Node, NodeAlerts, now_s};
 use serde::{Deserialize, Serialize};
 use tokio::task::{JoinHandle, spawn_blocking};
 
@@ -48,12 +48,14 @@ async fn notice_silence(node: Node, starts_within: Duration, raises: impl Fn() -
     let clock = node.bus.clock().clone();
     // A node that stands in for an observatory node reports that this one is missed.
     let file = (node.role == Role::Observatory).then(|| path(&node));
-    let mut nodes = OtherNodes::default();
+    let (mut nodes, boot_id) = (OtherNodes::default(), node::kernel_boot_id());
     if let Some(file) = file.clone() {
         let config = node.config.clone();
         let known = spawn_blocking(move || ran_before(&config, &file, now_s())).await?;
         let named = named(&node.config, std::env::var_os(node::SUPERVISOR).is_some());
-        nodes = OtherNodes::expected(&named, known, clock.machine().plus(starts_within), now_s());
+        let began = clock.machine();
+        let missed_from = |noted: &Noted| noted.missed_from(began, starts_within, &boot_id);
+        nodes = OtherNodes::expected(&named, known, missed_from, now_s());
     }
     let (mut is_due, mut writing) = (false, None::<JoinHandle<()>>);
     loop {
@@ -63,6 +65,7 @@ async fn notice_silence(node: Node, starts_within: Duration, raises: impl Fn() -
             node.alerts.clear(AlertKind::NodeSilent, &instance);
             is_due |= nodes.take(instance, &words, &state.sample.body, state.arrived, now_s());
         }
+        is_due |= nodes.note_missed(clock.machine(), &boot_id);
         if raises() {
             nodes.raise_silent(clock.machine(), &node.alerts);
         }
@@ -72,10 +75,6 @@ async fn notice_silence(node: Node, starts_within: Duration, raises: impl Fn() -
             (is_due, writing) = (false, Some(spawn_blocking(move || write(&file, &record))));
         }
     }
-}
-
-fn now_s() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs()
 }
 
 /// The file of the nodes that this one has heard.
@@ -158,6 +157,18 @@ struct Noted {
     heard_s: u64,
     /// It has reported that it will be silent.
     ended_well: bool,
+    /// The start of this host's kernel since which it is missed; empty while it is not.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    missed_since: String,
+}
+
+impl Noted {
+    /// When it begins to be missed by a node that `began`. One that was missed before that, on a host that was not started
+    /// again since, has had its time to start.
+    fn missed_from(&self, began: MachineTime, starts_within: Duration, boot_id: &str) -> MachineTime {
+        let was_missed = !self.missed_since.is_empty() && self.missed_since == boot_id;
+        began.plus(if was_missed { LOST.min(starts_within) } else { starts_within })
+    }
 }
 
 /// Nodes by the instances of their alerts.
@@ -189,18 +200,30 @@ struct OtherNodes(BTreeMap<String, OtherNode>);
 
 impl OtherNodes {
     /// Those that a node expects that begins now: those that are `named`, and those that were `known` before.
-    fn expected(named: &BTreeMap<String, String>, mut known: Record, missed_from: MachineTime, now_s: u64) -> Self {
+    fn expected(
+        named: &BTreeMap<String, String>,
+        mut known: Record,
+        missed_from: impl Fn(&Noted) -> MachineTime,
+        now_s: u64,
+    ) -> Self {
         // A device node that the file does not name any more was renamed.
         let (device, _) = of_telescope(Role::Device, "");
         known.retain(|instance, _| !instance.starts_with(&device) || named.contains_key(instance));
         for (instance, words) in named {
-            let never = || Noted { words: words.clone(), host: String::new(), heard_s: now_s, ended_well: false };
+            let never = || Noted {
+                words: words.clone(),
+                host: String::new(),
+                heard_s: now_s,
+                ended_well: false,
+                missed_since: String::new(),
+            };
             known.entry(instance.clone()).or_insert_with(never);
         }
         let expected = |(instance, noted): (String, Noted)| {
             // Whoever starts the telescope again starts what is named, too, however that ended.
             let is_expected = !noted.ended_well || named.contains_key(&instance);
-            (instance, OtherNode { noted, is_heard: false, missed_from: is_expected.then_some(missed_from) })
+            let missed_from = is_expected.then(|| missed_from(&noted));
+            (instance, OtherNode { noted, is_heard: false, missed_from })
         };
         Self(known.into_iter().map(expected).collect())
     }
@@ -223,10 +246,22 @@ impl OtherNodes {
             host: state.host.clone(),
             heard_s: before_s.unwrap_or(now_s),
             ended_well: state.ended_well(),
+            missed_since: String::new(),
         };
         let has_changed = known.is_none_or(|node| node.noted != noted);
         let missed_from = (!noted.ended_well).then(|| arrived.plus(LOST));
         self.0.insert(instance, OtherNode { noted, is_heard: true, missed_from });
+        has_changed
+    }
+
+    /// Notes those that have been silent for too long; true where what is to be written has changed.
+    fn note_missed(&mut self, now: MachineTime, boot_id: &str) -> bool {
+        let mut has_changed = false;
+        let is_missed = |node: &&mut OtherNode| node.missed_from.is_some_and(|from| now > from);
+        for node in self.0.values_mut().filter(is_missed).filter(|node| node.noted.missed_since != boot_id) {
+            boot_id.clone_into(&mut node.noted.missed_since);
+            has_changed = true;
+        }
         has_changed
     }
 
@@ -347,13 +382,13 @@ mod tests {
     }
 
     fn noted(host: &str, heard_s: u64, ended_well: bool) -> Noted {
-        Noted { words: "it".to_owned(), host: host.to_owned(), heard_s, ended_well }
+        Noted { words: "it".to_owned(), host: host.to_owned(), heard_s, ended_well, missed_since: String::new() }
     }
 
     /// What a node that begins at 100 s expects.
     fn expected(named: &BTreeMap<String, String>, known: &[(&str, Noted)]) -> OtherNodes {
         let known = known.iter().map(|(instance, noted)| ((*instance).to_owned(), noted.clone())).collect();
-        OtherNodes::expected(named, known, at(100).plus(STARTS_WITHIN), NOW_S)
+        OtherNodes::expected(named, known, |noted| noted.missed_from(at(100), STARTS_WITHIN, "this boot"), NOW_S)
     }
 
     fn instances(nodes: &OtherNodes, now_s: u64) -> Vec<&str> {
@@ -389,6 +424,27 @@ mod tests {
         // `starmesh up` stopped all, and starts all again.
         let beside = expected(&named(&callisto(""), true), &[("archive/main", ended.clone()), ("web/main", ended)]);
         assert_eq!(instances(&beside, 221), ["archive/main"]);
+    }
+
+    #[test]
+    fn a_node_that_was_missed_before_a_restart_is_missed_soon_after_it_unless_the_host_was_started_again() {
+        let mut nodes = OtherNodes::default();
+        let archive = || "archive/main".to_owned();
+        nodes.take(archive(), "it", &state(None), at(10), NOW_S);
+        assert!(!nodes.note_missed(at(25), "this boot"), "it is not missed yet");
+        assert!(nodes.note_missed(at(26), "this boot") && !nodes.note_missed(at(27), "this boot"), "written once");
+        let known = |nodes: &OtherNodes| nodes.record().into_iter().collect::<Vec<_>>();
+        let after = |known: &[(String, Noted)], boot_id: &str, now_s: u64| {
+            let from = |noted: &Noted| noted.missed_from(at(100), STARTS_WITHIN, boot_id);
+            let nodes = OtherNodes::expected(&BTreeMap::new(), known.iter().cloned().collect(), from, NOW_S);
+            instances(&nodes, now_s).len()
+        };
+        let missed = known(&nodes);
+        assert_eq!((after(&missed, "this boot", 115), after(&missed, "this boot", 116)), (0, 1));
+        assert_eq!((after(&missed, "the next boot", 220), after(&missed, "the next boot", 221)), (0, 1), "a power cut");
+        assert!(nodes.take(archive(), "it", &state(None), at(30), NOW_S), "it is back, and that is written");
+        let heard = known(&nodes);
+        assert_eq!((after(&heard, "this boot", 220), after(&heard, "this boot", 221)), (0, 1));
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! verify it. An order that does more than to close is refused where it comes too late ([`RecentStates`]).
 
 pub mod domes;
+mod effects;
 mod follower;
 mod recent_states;
 

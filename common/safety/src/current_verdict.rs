@@ -100,6 +100,17 @@ impl CurrentVerdict {
         (!reasons.is_empty()).then(|| in_words(reasons))
     }
 
+    /// Why a dome that is shut stays shut although the sky is safe, if so.
+    pub fn why_kept_shut(&self) -> Option<String> {
+        (!self.keeps_shut.is_empty()).then(|| in_words(&self.keeps_shut))
+    }
+
+    /// Why it stays shut for longer than an answer takes, if so: a dwell runs over what was missed.
+    pub fn shut_for_a_dwell(&self) -> Option<String> {
+        let of_a_dwell = self.keeps_shut.iter().find(|reason| reason.clears_in_s.is_some());
+        of_a_dwell.map(|reason| in_words(std::slice::from_ref(reason)))
+    }
+
     /// Why nothing at all is to be exposed, a dark as little as the sky: a node has too little room for frames, or a wrong
     /// clock.
     pub fn unfit_nodes(&self) -> Option<String> {

@@ -1,6 +1,7 @@
 //! The objections to an action: the robotic switch, the lease, the verdict, and the direction in which the action
 //! looks.
 
+use contract::device::dome::Shutter;
 use contract::observatory::{RowState, Sector};
 use units::MachineTime;
 
@@ -63,6 +64,23 @@ pub fn sky_stands_against(
     verdict.suspension().or_else(avoided).map(Objection::Suspended)
 }
 
+/// The objection of the newest verdict to opening what is shut: a dwell runs over something that was missed of a safety
+/// input. An answer that is awaited is none: it comes in a moment, and opening waits for it. A row that `begins` has the
+/// objection unless all domes are known to be open; one that is at work only where one is known not to be, since the state
+/// of one may be unknown for a moment.
+pub fn keeps_shut(
+    verdict: &CurrentVerdict,
+    begins: bool,
+    shutters: impl IntoIterator<Item = Option<Shutter>>,
+) -> Option<Objection> {
+    let why = verdict.shut_for_a_dwell()?;
+    let may_be_shut = |shutter| match shutter {
+        Some(Shutter::Error) | None => begins,
+        Some(shutter) => shutter != Shutter::Open,
+    };
+    shutters.into_iter().any(may_be_shut).then_some(Objection::Suspended(why))
+}
+
 /// Why an action's direction is to be avoided now, if it is; where it looks is asked only if any is.
 fn avoided(sectors: &[Sector], azimuth_deg: impl FnOnce() -> Option<f64>) -> Option<String> {
     if sectors.is_empty() {
@@ -114,6 +132,29 @@ mod tests {
         verdict.state.suspended = vec![Unsafe { input, why, clears_in_s: None }];
         let words = "node/s/device/main: its clock is off".to_owned();
         assert_eq!(sky_stands_against(&verdict, at(101), nowhere), Some(Objection::Suspended(words)));
+    }
+
+    #[test]
+    fn what_keeps_a_dome_shut_stands_against_who_would_open_it_and_not_against_who_looks_out_of_an_open_one() {
+        let (open, shut) = (Some(Shutter::Open), Some(Shutter::Closed));
+        assert_eq!(keeps_shut(&safe(), true, [shut, None]), None);
+        let mut verdict = safe();
+        let why = "asks its device node".to_owned();
+        verdict.keeps_shut = vec![Unsafe { input: "safetymonitor/m".to_owned(), why, clears_in_s: None }];
+        assert_eq!(keeps_shut(&verdict, true, [shut]), None, "opening waits for an answer");
+        let why = "its answer contradicts it".to_owned();
+        verdict.keeps_shut.push(Unsafe { input: "safetymonitor/m".to_owned(), why, clears_in_s: Some(600.0) });
+        let stands = Some(Objection::Suspended("safetymonitor/m: its answer contradicts it".to_owned()));
+        for begins in [true, false] {
+            assert_eq!(keeps_shut(&verdict, begins, []), None, "no dome");
+            assert_eq!(keeps_shut(&verdict, begins, [open, open]), None);
+            assert_eq!(keeps_shut(&verdict, begins, [open, shut]), stands);
+            assert_eq!(keeps_shut(&verdict, begins, [Some(Shutter::Opening)]), stands);
+        }
+        for unknown in [None, Some(Shutter::Error)] {
+            assert_eq!(keeps_shut(&verdict, true, [open, unknown]), stands);
+            assert_eq!(keeps_shut(&verdict, false, [open, unknown]), None, "its state is unknown for a moment");
+        }
     }
 
     #[test]

@@ -239,6 +239,7 @@ impl<F: Payload + PartialEq> Recall<F> {
             }
         }
         if asked.at.since(answered) > DRIFT {
+            // No contradiction: a clock that stood still places what arrives after it too early for a while.
             let why = "it is younger than the question, by the age of what was received";
             return Err(NotTaken::Untimely(why.to_owned()));
         }
@@ -298,3 +299,7 @@ fn states<F>(record: &StateRecord<F>) -> Result<Vec<RecordedState<'_, F>>, Strin
 #[cfg(test)]
 #[path = "recall_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "recall_restart_tests.rs"]
+mod restart_tests;

@@ -51,7 +51,7 @@ impl DomeNode {
                 let shutter = *seen.borrow();
                 states.put(about.clone()).await.unwrap();
                 alerts.put(Alerts { alerts: vec![alert.clone()], ..Alerts::default() }).await.unwrap();
-                domes.put(state(shutter)).await.unwrap();
+                domes.put(dome_state(shutter)).await.unwrap();
                 guards.put(guard(number, &telescope, shutter)).await.unwrap();
                 tokio::time::sleep(Duration::from_millis(200)).await;
             }
@@ -72,7 +72,8 @@ impl DomeNode {
     }
 }
 
-fn state(shutter: Shutter) -> DeviceState<dome::Fields> {
+/// The state of a dome that answers and whose shutter stands so; nothing else is known of it.
+pub fn dome_state(shutter: Shutter) -> DeviceState<dome::Fields> {
     DeviceState {
         link: Link::Connected,
         busy: false,

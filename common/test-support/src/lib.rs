@@ -25,7 +25,7 @@ mod wait;
 mod web_server;
 
 pub use browser::Browser;
-pub use dome_node::DomeNode;
+pub use dome_node::{DomeNode, dome_state};
 pub use frame::frame;
 pub use harness::{Harness, HarnessOptions, SITE, TELESCOPE};
 pub use header::header;

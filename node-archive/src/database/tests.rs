@@ -1,10 +1,10 @@
 //! Rows in, rows out.
 
 use bus::Clock;
-use contract::archive::{ArchiveQuestion, ArchiveRow, Ask};
+use contract::archive::{ArchiveQuestion, ArchiveRow, Ask, PastAlert};
 use contract::device::camera::{Frame, Purpose};
 use contract::node::Level;
-use contract::observatory::{FrameFacts, Unsolved, UnsolvedClass};
+use contract::observatory::{Alert, FrameFacts, Unsolved, UnsolvedClass};
 use contract::{Address, BootId, CommandId, Device, Kind, Scalar};
 use units::Utc;
 
@@ -493,4 +493,46 @@ async fn verdicts_are_rows_with_their_times_and_reasons() {
     assert_eq!(rows[0], unsafe_of("safetymonitor/m", "says that it is not safe"));
     assert_eq!(rows[1], unsafe_of("wx/RainRate", "3 is above 0"));
     assert_eq!((rows.len(), &rows[2][0], &rows[2][2], &rows[2][3]), (3, &safe, &"safe".to_owned(), &String::new()));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_alerts_of_a_time_are_those_that_stood_in_it_with_what_became_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let (database, writer) = open(folder.path());
+    let boot = BootId::fresh();
+    let alert = |name: &str, raised: i64| AlertKind::DomeHeld.alert(name, at(raised), "nobody renewed it");
+    let seen_to = Alert { acknowledged_by: Some("web/ana".to_owned()), ..alert("a", 25) };
+    for (second, alerts) in [
+        (10_i64, vec![alert("a", 5)]),
+        (20, Vec::new()),
+        (30, vec![seen_to.clone(), alert("b", 28)]),
+        (40, vec![seen_to.clone()]),
+    ] {
+        let stored = StoredAlerts { alerts, at: at(second), origin: (boot.clone(), second.unsigned_abs()) };
+        database.commit(vec![Write::Alerts(Box::new(stored))]).await.unwrap();
+    }
+    let asked = |telescope: &str, from, to, limit| {
+        let reader = Reader::open(database.path(), telescope).unwrap();
+        let answer = reader.answer(&ask(Ask::Alerts, from, to, limit), at(50)).unwrap();
+        let alerts = answer.rows.into_iter().map(|row| match row {
+            ArchiveRow::Alert(alert) => alert,
+            other => panic!("{other:?}"),
+        });
+        (alerts.collect::<Vec<_>>(), answer.truncated)
+    };
+    let past = |alert: &Alert, cleared: Option<i64>| PastAlert {
+        id: alert.id.clone(),
+        priority: alert.priority,
+        raised_utc: alert.raised_utc,
+        cleared_utc: cleared.map(at),
+        cause: alert.cause.clone(),
+        acknowledged_by: alert.acknowledged_by.clone(),
+    };
+    let (first, again, other) = (past(&alert("a", 5), Some(20)), past(&seen_to, None), past(&alert("b", 28), Some(40)));
+    assert_eq!(asked("callisto", None, None, None), (vec![first, again.clone(), other.clone()], false));
+    assert_eq!(asked("callisto", Some(21), Some(28), None), (vec![again], false), "one is over, one is not raised yet");
+    assert_eq!(asked("callisto", None, None, Some(1)), (vec![other], true), "the newest");
+    assert_eq!(asked("io", None, None, None), (Vec::new(), false), "of another telescope");
+    drop(database);
+    writer.end().await;
 }

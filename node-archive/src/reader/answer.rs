@@ -1,12 +1,14 @@
 //! Answers to questions about the past of a telescope.
 
 use contract::CommandId;
-use contract::archive::{ArchiveAnswer, ArchiveQuestion, ArchiveRow, Ask, MOST_PROPERTIES, SeriesName};
+use contract::archive::{ArchiveAnswer, ArchiveQuestion, ArchiveRow, Ask, MOST_PROPERTIES, PastAlert, SeriesName};
 use contract::node::Level;
+use report::events::AlertRecord;
 use rusqlite::{Row, params};
 use units::Utc;
 
-use super::{Reader, json, time};
+use super::night::{ALERTS, alert};
+use super::{Reader, json, time, unreadable};
 use crate::database::{DatabaseError, stamp};
 
 /// Rows of an answer where the question has no limit, and at most.
@@ -121,10 +123,20 @@ impl Reader {
                 of,
                 |row| Ok(ArchiveRow::Correction(Box::new(json(row, 0)?))),
             ),
+            Ask::Alerts => {
+                let sql = format!("{ALERTS} ORDER BY raised DESC, id DESC LIMIT ?4");
+                self.list(&sql, of, |row| Ok(ArchiveRow::Alert(past_alert(row)?)))
+            }
             // They have answers of their own.
             Ask::Series { .. } | Ask::FindFrames(_) | Ask::FindLog(_) => Ok(Vec::new()),
         }
     }
+}
+
+fn past_alert(row: &Row<'_>) -> rusqlite::Result<PastAlert> {
+    let AlertRecord { id, priority, raised_utc, cleared_utc, cause, acknowledged_by } = alert(row)?;
+    let priority = serde_json::from_value(priority.into()).map_err(|error| unreadable(1, error))?;
+    Ok(PastAlert { id, priority, raised_utc, cleared_utc, cause, acknowledged_by })
 }
 
 pub(super) fn log_line(row: &Row<'_>) -> rusqlite::Result<ArchiveRow> {

@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 
+use contract::device::camera::Frame;
 use contract::observatory::{FocusRun, RowState};
 use report::events::{
     AlertRecord, Doing, FluxRecord, FocusRecord, FrameRecord, GuideRecord, Held, NightEvents, OrderRecord, RowChange,
@@ -14,6 +15,10 @@ use units::Utc;
 use super::{GuidedFrame, Reader, Unreadable, json, time};
 use crate::database::{DatabaseError, stamp};
 use crate::night::{Night, NightFrame};
+
+/// What [`alert`] reads: the alerts that stood from `?1` to `?2`, of the telescope `?3`.
+pub(super) const ALERTS: &str = "SELECT id, priority, raised, cleared, cause, acknowledged_by FROM alerts
+    WHERE raised < ?2 AND (cleared IS NULL AND last >= ?1 OR cleared >= ?1) AND telescope IN (?3, '')";
 
 impl Reader {
     /// Everything that is stored of a night until `now`.
@@ -37,10 +42,8 @@ impl Reader {
             Ok(RowChange { at: time(row, 0)?, row: json::<RowState>(row, 1)? })
         })?;
         events.timed = self.timed(&from, &to)?;
-        let sql = "SELECT id, priority, raised, cleared, cause, acknowledged_by FROM alerts
-                   WHERE raised < ?2 AND (cleared IS NULL AND last >= ?1 OR cleared >= ?1) AND telescope IN (?3, '')
-                   ORDER BY raised, id";
-        events.alerts = self.readable(("the alert", sql), of, &mut unreadable, alert)?;
+        let sql = format!("{ALERTS} ORDER BY raised, id");
+        events.alerts = self.readable(("the alert", &sql), of, &mut unreadable, alert)?;
         events.orders = self.list(
             "SELECT datetime, who, verb, outcome FROM audit
              WHERE device = '' AND fault IS NULL AND who <> 'audit' AND who NOT LIKE 'observatory/%'
@@ -76,16 +79,15 @@ impl Reader {
 
     /// The guided frames that held the targets of these, each once for an object: two cameras may have exposed meanwhile.
     fn guide_records(&self, frames: &[NightFrame]) -> Result<Vec<GuideRecord>, DatabaseError> {
-        let (mut known, mut records) = (HashSet::new(), Vec::new());
-        for frame in frames.iter().map(|frame| &frame.image.frame).filter(|frame| frame.purpose.action == "object") {
-            for GuidedFrame { id, camera, bin, off_px } in self.guided_frames(&self.telescope, frame)? {
-                let object = frame.purpose.object.clone();
-                if known.insert((object.clone(), id)) {
-                    records.push(GuideRecord { object, camera, bin, off_px });
-                }
-            }
-        }
-        Ok(records)
+        let frames = frames.iter().map(|night| &night.image.frame);
+        let targets: Vec<&Frame> = frames.filter(|frame| frame.purpose.action == "object").collect();
+        let mut known = HashSet::new();
+        let held = self.guided_frames_of(&self.telescope, &targets)?.into_iter();
+        let records = held.filter_map(|(place, GuidedFrame { id, camera, bin, off_px })| {
+            let object = &targets.get(place)?.purpose.object;
+            known.insert((object, id)).then(|| GuideRecord { object: object.clone(), camera, bin, off_px })
+        });
+        Ok(records.collect())
     }
 
     /// The newest state of the observatory node that can be read, of those that began before an instant; absent where none
@@ -182,7 +184,7 @@ fn held<T: DeserializeOwned>(row: &Row<'_>) -> rusqlite::Result<Held<T>> {
     Ok(Held { from: time(row, 0)?, until: time(row, 1)?, boot: row.get(2)?, seq, state: json(row, 4)? })
 }
 
-fn alert(row: &Row<'_>) -> rusqlite::Result<AlertRecord> {
+pub(super) fn alert(row: &Row<'_>) -> rusqlite::Result<AlertRecord> {
     Ok(AlertRecord {
         id: row.get(0)?,
         priority: row.get(1)?,

@@ -82,10 +82,19 @@ pub struct FoundFrames {
 }
 
 /// The words that people use for kinds of frames, in any case, and their IMAGETYP keywords.
+pub const IMAGE_TYPES: [(&str, &str); 6] = [
+    ("light", "Light Frame"),
+    ("acquisition", "Acquisition Frame"),
+    ("bias", "Bias Frame"),
+    ("dark", "Dark Frame"),
+    ("flat", "Flat Frame"),
+    ("test", "Test Frame"),
+];
+
+/// The IMAGETYP keyword of a kind; what is none is one itself.
 fn image_type(word: &str) -> String {
-    let kinds = ["Light Frame", "Acquisition Frame", "Bias Frame", "Dark Frame", "Flat Frame", "Test Frame"];
-    let kind = kinds.into_iter().find(|kind| kind.trim_end_matches(" Frame").eq_ignore_ascii_case(word));
-    kind.unwrap_or(word).to_owned()
+    let kind = IMAGE_TYPES.into_iter().find(|(kind, _)| kind.eq_ignore_ascii_case(word));
+    kind.map_or(word, |(_, keyword)| keyword).to_owned()
 }
 
 /// Frames that calibrate, by kind and setup, in the order of time.

@@ -221,5 +221,8 @@ pub(crate) fn apart_deg(a: f64, b: f64) -> f64 {
 }
 
 #[cfg(test)]
+mod refusal_tests;
+
+#[cfg(test)]
 #[path = "driver_tests.rs"]
 mod tests;

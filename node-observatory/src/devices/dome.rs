@@ -159,19 +159,21 @@ impl Dome {
     pub async fn open(&self, may: impl Fn() -> Result<bool, ActionError>) -> Result<(), ActionError> {
         let clock = self.instrument.clock();
         let most = command_timeout(clock, self.travel) + Duration::from_secs(15);
-        let mut refused: Option<MachineTime> = None;
+        let mut refusals = Refusals::default();
         let id = loop {
             // One that refuses may be open and about to close.
-            if refused.is_none() && self.shutter() == Some(Shutter::Open) {
+            if !refusals.had_any && self.shutter() == Some(Shutter::Open) {
                 return Ok(());
             }
-            if may()? {
-                self.end_hold().await?;
+            // While a hold is ended, something may have been missed.
+            if !may()? || (self.end_hold().await? && !may()?) {
+                refusals.pause();
+            } else {
                 self.was_opened.store(true, Ordering::Relaxed);
                 match self.instrument.ask(Command::OpenShutter).await {
                     Err(ActionError::Refused {
                         reason: Reason::NoPermit | Reason::WrongState | Reason::Busy, ..
-                    }) if clock.machine().since(*refused.get_or_insert(clock.machine())) < most => {}
+                    }) if refusals.may_go_on(clock.machine(), most) => {}
                     asked => break asked?,
                 }
             }
@@ -194,12 +196,34 @@ impl Dome {
         self.instrument.until(command_timeout(clock, self.travel), "open", open).await?
     }
 
-    async fn end_hold(&self) -> Result<(), ActionError> {
-        if self.guard.fresh(GUARD_AGE).is_some_and(|guard| guard.sample.body.hold) {
+    /// True where there was a hold to end.
+    async fn end_hold(&self) -> Result<bool, ActionError> {
+        let holds = self.guard.fresh(GUARD_AGE).is_some_and(|guard| guard.sample.body.hold);
+        if holds {
             tracing::info!(dome = %self.instrument.device.name, "the guard had closed; taking over again");
             self.instrument.ask(Command::Resume).await?;
         }
-        Ok(())
+        Ok(holds)
+    }
+}
+
+/// How a shutter has refused to open. Pure: time comes in.
+#[derive(Debug, Default)]
+struct Refusals {
+    had_any: bool,
+    since: Option<MachineTime>,
+}
+
+impl Refusals {
+    /// It refused once more: is it to be asked again? Not where it has refused for longer than `most` without a pause.
+    fn may_go_on(&mut self, now: MachineTime, most: Duration) -> bool {
+        self.had_any = true;
+        now.since(*self.since.get_or_insert(now)) < most
+    }
+
+    /// It is not asked for a while, which does not count.
+    fn pause(&mut self) {
+        self.since = None;
     }
 }
 
@@ -209,23 +233,100 @@ mod tests {
     use std::sync::atomic::AtomicUsize;
 
     use bus::Clock;
-    use contract::{Accepted, Address, CommandId, Datum, DeviceState, Kind, Link, Refusal, Reply};
-    use test_support::{LIMIT, join, private_bus};
+    use contract::{Accepted, Address, CommandId, DeviceState, Kind, Refusal, Reply};
+    use test_support::{LIMIT, dome_state, join, private_bus};
     use tokio::sync::watch;
 
     use super::*;
     use crate::hold::Hold;
 
-    fn state(shutter: Shutter) -> DeviceState<dome::Fields> {
-        DeviceState {
-            link: Link::Connected,
-            busy: false,
-            period_s: 1.0,
-            poll_s: None,
-            last_command: None,
-            fields: dome::Fields { shutter: Datum::Known(shutter), ..dome::Fields::default() },
-            readings: Default::default(),
-        }
+    /// Joins `bus` as the one that commands a dome, which is shut, and whose node serves it already.
+    async fn dome_on(bus: &bus::Bus, device: Device, states: &bus::Publisher<DeviceState<dome::Fields>>) -> Dome {
+        let command_sender = CommandSender {
+            bus: join(bus).await,
+            signature: "observatory/alpha/main".to_owned(),
+            lease: watch::channel(Hold::Standby).1,
+            doubt: Arc::default(),
+        };
+        let dome = Dome::listen(&command_sender, device, None).await.unwrap();
+        let meet = async {
+            states.put(dome_state(Shutter::Closed)).await.unwrap();
+            while dome.instrument.ask(Command::Abort).await.is_err() {
+                states.put(dome_state(Shutter::Closed)).await.unwrap();
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        };
+        tokio::time::timeout(LIMIT, meet).await.unwrap();
+        dome
+    }
+
+    #[test]
+    fn a_time_in_which_it_is_not_asked_is_none_of_refusals() {
+        let (at, most) = (|s| MachineTime::from_boot(Duration::from_secs(s)), Duration::from_secs(60));
+        let mut refusals = Refusals::default();
+        assert!(refusals.may_go_on(at(100), most) && refusals.may_go_on(at(159), most));
+        refusals.pause();
+        assert!(refusals.had_any, "one that has refused may be open and about to close");
+        assert!(refusals.may_go_on(at(1500), most) && refusals.may_go_on(at(1559), most));
+        assert!(!refusals.may_go_on(at(1560), most));
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn what_comes_while_a_hold_is_ended_keeps_it_shut() {
+        let bus = private_bus(Clock::machine_clock()).await;
+        let device = Address::new("test", "alpha").unwrap().device(Kind::Dome, &"roof".parse().unwrap());
+        let states = Arc::new(bus.publisher::<DeviceState<dome::Fields>>(&Key::State(device.clone())).await.unwrap());
+        let guards = bus.publisher::<Guard>(&Key::Guard(device.clone())).await.unwrap();
+        // The first end of a hold takes a moment, in which something begins to keep it shut, until the third look after it.
+        let (kept, was_resumed) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
+        let opened_while_kept = Arc::<Mutex<Vec<bool>>>::default();
+        let (keeps, resumed, opened) = (kept.clone(), was_resumed.clone(), opened_while_kept.clone());
+        let opens = states.clone();
+        let answer = move |command: Result<contract::Command<Command>, String>| {
+            let (command, opens) = (command.unwrap(), opens.clone());
+            if command.action == Command::Resume && !resumed.swap(true, Ordering::SeqCst) {
+                keeps.store(true, Ordering::SeqCst);
+            }
+            let is_opening = command.action == Command::OpenShutter;
+            if is_opening {
+                opened.lock().unwrap().push(keeps.load(Ordering::SeqCst));
+            }
+            async move {
+                if is_opening {
+                    opens.put(dome_state(Shutter::Open)).await.unwrap();
+                }
+                Reply::Accepted(Accepted { id: command.id, token: None })
+            }
+        };
+        let _service = bus.serve(&Key::Command(device.clone()), answer).await.unwrap();
+        let dome = dome_on(&bus, device, &states).await;
+        let mut guard: Guard =
+            serde_json::from_str(include_str!("../../../common/contract/golden/v1/dome.guard.json")).unwrap();
+        guard.hold = true;
+        let holding = async {
+            while opened_while_kept.lock().unwrap().is_empty() {
+                guards.put(guard.clone()).await.unwrap();
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        };
+        let looks = AtomicUsize::default();
+        let may = || {
+            if kept.load(Ordering::SeqCst) && looks.fetch_add(1, Ordering::SeqCst) == 2 {
+                kept.store(false, Ordering::SeqCst);
+            }
+            Ok(!kept.load(Ordering::SeqCst))
+        };
+        let opening = async {
+            while dome.guard.fresh(GUARD_AGE).is_none() {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+            states.put(dome_state(Shutter::Closed)).await.unwrap();
+            dome.open(may).await.unwrap();
+        };
+        tokio::time::timeout(LIMIT, async { tokio::join!(opening, holding) }).await.unwrap();
+        assert!(was_resumed.load(Ordering::SeqCst));
+        let opened_while_kept = opened_while_kept.lock().unwrap();
+        assert!(!opened_while_kept.is_empty() && !opened_while_kept.contains(&true), "{opened_while_kept:?}");
     }
 
     #[tokio::test(flavor = "multi_thread")]
@@ -252,26 +353,14 @@ mod tests {
                     return Reply::Refusal(Refusal { id, reason: Reason::Busy, detail: "it closes".to_owned() });
                 }
                 if is_opening {
-                    opens.put(state(Shutter::Open)).await.unwrap();
+                    opens.put(dome_state(Shutter::Open)).await.unwrap();
                 }
                 Reply::Accepted(Accepted { id, token: None })
             }
         };
         let _service = bus.serve(&Key::Command(device.clone()), answer).await.unwrap();
-        let command_sender = CommandSender {
-            bus: join(&bus).await,
-            signature: "observatory/alpha/main".to_owned(),
-            lease: watch::channel(Hold::Standby).1,
-            doubt: Arc::default(),
-        };
-        let dome = Dome::listen(&command_sender, device, None).await.unwrap();
-        states.put(state(Shutter::Closed)).await.unwrap();
-        let meet = async {
-            while dome.instrument.ask(Command::Abort).await.is_err() {
-                tokio::time::sleep(Duration::from_millis(20)).await;
-            }
-        };
-        tokio::time::timeout(LIMIT, meet).await.unwrap();
+        let dome = dome_on(&bus, device, &states).await;
+        states.put(dome_state(Shutter::Closed)).await.unwrap();
         // Each second look finds nothing that keeps it shut.
         let may = || Ok(looks.fetch_add(1, Ordering::Relaxed) % 2 == 1);
         tokio::time::timeout(LIMIT, dome.open(may)).await.unwrap().unwrap();

@@ -10,17 +10,20 @@ use contract::{Address, Key, Part, Payload};
 use interlock::takeover::{are_last_orders, switch_after};
 use safety::active_orders::ActiveOrders;
 use safety::on_disk::OnDisk;
+use safety::ordered_by::OrderedBy;
 use safety::takeover::{Known, Source, Word};
 use units::Utc;
 
 use crate::active_orders::OrderState;
 use crate::authority::Authority;
 use crate::journal::Journal;
-use crate::persisted::replaced;
+use crate::persisted::{Persisted, replaced};
 use crate::{active_orders, annunciator};
 
 /// A disk that hangs keeps nobody from commanding.
 const DISK: Duration = Duration::from_secs(2);
+/// One that takes the orders within this was slow; later, it may have lost what was ordered before.
+const SLOW_DISK: Duration = Duration::from_secs(60);
 /// A verdict that is not renewed for so long no longer counts as safe.
 const VERDICT_WITHIN: Duration = Duration::from_secs(5);
 
@@ -82,18 +85,50 @@ pub async fn learn(takeover: &Takeover, granted: Option<u64>, held: Option<u64>,
     }
     learn_alerts(takeover, source, received.as_ref()).await;
     put(takeover, &active_orders);
-    let written = tokio::time::timeout(DISK, takeover.orders.orders.write()).await.map_err(|_| "no answer".to_owned());
-    if let Err(error) = written.and_then(|written| written.map_err(|error| error.to_string())) {
-        let cause = format!("the operator orders are not on disk: {error}");
-        takeover.authority.node.alerts.raise(AlertKind::OperatorOrders, "", &cause);
-        if source.is_doubted_by_disk(&mut active_orders, &cause, now) {
-            put(takeover, &active_orders);
-        }
-    }
+    doubt_by_disk(takeover, source, &mut active_orders, now).await;
     if !active_orders.has_same_orders(&own) {
         judged_anew(takeover).await;
     }
     learn_robotic(takeover, now);
+}
+
+/// Writes the adopted orders. Where the disk that they are from does not take them, they stay closed: for good if it
+/// fails, until it takes them if it is slow.
+async fn doubt_by_disk(takeover: &Takeover, source: Source, active_orders: &mut ActiveOrders, now: Utc) {
+    let orders = &takeover.orders.orders;
+    let (is_slow, error) = match tokio::time::timeout(DISK, orders.write()).await {
+        Ok(Ok(())) => return,
+        Ok(Err(error)) => (false, error.to_string()),
+        Err(_) => {
+            let (soon, late) = (DISK.as_secs(), SLOW_DISK.as_secs());
+            (true, format!("no answer within {soon} s (if it takes them within {late} s, this ends by itself)"))
+        }
+    };
+    let cause = format!("the operator orders are not on disk: {error}");
+    takeover.authority.node.alerts.raise(AlertKind::OperatorOrders, "", &cause);
+    if source.is_doubted_by_disk(active_orders, &cause, now) {
+        put(takeover, active_orders);
+        let doubt = active_orders.stay_closed.clone();
+        if is_slow {
+            tokio::spawn(end_doubt(orders.clone(), doubt, SLOW_DISK));
+        }
+    }
+}
+
+/// Takes back that the dome stays closed for a `doubt` about the disk, once that has taken the orders
+/// in time.
+async fn end_doubt(orders: Arc<Persisted<ActiveOrders>>, doubt: Option<OrderedBy>, within: Duration) {
+    if !matches!(tokio::time::timeout(within, orders.write()).await, Ok(Ok(()))) {
+        return;
+    }
+    orders.change(|known| {
+        let is_doubted = known.stay_closed == doubt;
+        if is_doubted {
+            known.stay_closed = None;
+            tracing::info!("the disk was slow and has the operator orders now: they no longer stay closed for it");
+        }
+        is_doubted
+    });
 }
 
 fn put(takeover: &Takeover, orders: &ActiveOrders) {
@@ -180,5 +215,52 @@ fn learn_robotic(takeover: &Takeover, now: Utc) {
     let on = switch_after(published, takeover.authority.node.bus.clock().machine(), own);
     if takeover.authority.robotic.send_replace(on) != on {
         tracing::info!(on, "the robotic switch stands as it was ordered");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// Whether the dome still stays closed once a write under way and then the one of the orders have ended, or the time
+    /// of the disk has; `meanwhile` happens before.
+    async fn stays_closed(within: Duration, folder: &Path, meanwhile: impl Fn(&mut ActiveOrders)) -> bool {
+        let writer = "main".parse().unwrap();
+        let orders = Arc::new(Persisted::new(folder.join("orders.json"), &writer, ActiveOrders::default()));
+        let doubt = Some(OrderedBy::by_node("no answer".to_owned(), Utc::from_seconds(1000.0)));
+        orders.change(|known| {
+            known.stay_closed.clone_from(&doubt);
+            true
+        });
+        let slow = orders.hold_pen().await;
+        let ending = tokio::spawn(end_doubt(orders.clone(), doubt, within));
+        if within.is_zero() {
+            while !ending.is_finished() {
+                tokio::task::yield_now().await;
+            }
+        }
+        orders.change(|known| {
+            meanwhile(known);
+            true
+        });
+        assert!(orders.get().stay_closed.is_some(), "nothing is taken back before the disk has answered");
+        drop(slow);
+        ending.await.unwrap();
+        orders.get().stay_closed.is_some()
+    }
+
+    #[tokio::test]
+    async fn a_slow_disk_costs_its_time_and_one_that_hangs_or_fails_stays_doubted() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(!stays_closed(SLOW_DISK, folder.path(), |_| {}).await);
+        assert!(stays_closed(Duration::ZERO, folder.path(), |_| {}).await);
+        let person = |orders: &mut ActiveOrders| {
+            orders.stay_closed = Some(OrderedBy::by_node("a person".to_owned(), Utc::from_seconds(1001.0)));
+        };
+        assert!(stays_closed(SLOW_DISK, folder.path(), person).await, "what was ordered meanwhile holds");
+        std::fs::create_dir(folder.path().join("orders.json.main.part")).unwrap();
+        assert!(stays_closed(SLOW_DISK, folder.path(), |_| {}).await, "it fails");
     }
 }

@@ -30,7 +30,7 @@ pub async fn answer(authority: &Authority, devices: &Devices, function: Function
     match request {
         Request::Vendor(device, command) => vendor(devices, &device, command).await.map(Reply::Text),
         Request::State(device) => state(devices, &device).map(Reply::Fields),
-        Request::IsSafe => Ok(Reply::Truth(authority.is_safe())),
+        Request::IsSafe => Ok(Reply::Truth(is_safe(authority, devices))),
         Request::Sleep(s) if !(0.0..=LONGEST_SLEEP_S).contains(&s) => {
             Err(format!("sleep({s}): expected 0 to {LONGEST_SLEEP_S} s"))
         }
@@ -50,6 +50,12 @@ pub async fn answer(authority: &Authority, devices: &Devices, function: Function
             Err(format!("{name} opens nothing: call open_domes(), open_covers() and unpark() in open"))
         }
     }
+}
+
+/// To a script, which may go by it where it opens something itself: safe, and nothing keeps a shut dome shut.
+fn is_safe(authority: &Authority, devices: &Devices) -> bool {
+    let may_open = devices.are_domes_open() || authority.verdict.borrow().why_kept_shut().is_none();
+    authority.is_safe() && may_open
 }
 
 async fn vendor(devices: &Devices, device: &str, command: VendorCommand) -> Result<String, String> {

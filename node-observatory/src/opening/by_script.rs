@@ -1,10 +1,10 @@
 //! Opening as the site's script has it; whatever fails in it is closed by default.
 
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use contract::device::cover_calibrator::Cover;
-use contract::device::dome::Shutter;
 use rhai::Dynamic;
 use units::seconds;
 
@@ -40,6 +40,7 @@ async fn run_script(opening: &Opening<'_>) -> Result<(), ActionError> {
     let Opening { opener, chain, script } = *opening;
     opening.call_if_there(Function::BeforeOpen).await?;
     if script.has(Function::Open) {
+        super::wait_until_known(opener).await?;
         opening.call_if_there(Function::Open).await?;
     } else {
         super::by_default(opener, chain).await?;
@@ -54,7 +55,7 @@ fn is_open(opener: &Opener, chain: &Chain<'_>) -> bool {
         let parked = mount.instrument.fresh().and_then(|state| state.fields.at_park.known().copied());
         parked == Some(false) || mount.instrument.can().is_some_and(|can| !can.park)
     };
-    opener.devices.domes.iter().all(|dome| dome.shutter() == Some(Shutter::Open))
+    opener.devices.are_domes_open()
         && opener.devices.covers.iter().all(|cover| matches!(cover.cover(), Some(Cover::Open | Cover::NotPresent)))
         && chain.mount.is_none_or(is_out)
 }
@@ -71,6 +72,8 @@ struct OpeningFunction<'a> {
     function: Function,
     /// Why nothing may be opened now, if that is so.
     not_safe: OnceLock<String>,
+    /// It waits for something to be opened; so it stays where the wait is dropped because its time is over.
+    waits: AtomicBool,
 }
 
 impl Opening<'_> {
@@ -82,9 +85,12 @@ impl Opening<'_> {
         let limit = seconds(self.opener.authority.node.config.hooks.time_limit_s);
         let most = command_timeout(self.opener.authority.node.bus.clock(), limit);
         tracing::info!(function = function.name(), "the site's script");
-        let under_way = OpeningFunction { opening: self, function, not_safe: OnceLock::new() };
+        let under_way =
+            OpeningFunction { opening: self, function, not_safe: OnceLock::new(), waits: AtomicBool::default() };
         let result = self.script.call(function, most, &under_way).await;
-        if let Some(error) = no_fault(&result, under_way.not_safe.into_inner()) {
+        let kept_shut = || self.opener.authority.verdict.borrow().why_kept_shut();
+        let waits_for = under_way.waits.into_inner().then(kept_shut).flatten();
+        if let Some(error) = no_fault(&result, under_way.not_safe.into_inner(), waits_for) {
             return Err(error);
         }
         host::reported(&self.opener.authority, function, result)
@@ -115,21 +121,36 @@ impl Opening<'_> {
     }
 }
 
-/// The failure of a function that is none of the script: nothing may be opened now. It passes, and is no alert.
-fn no_fault<T>(result: &Result<T, CallError>, not_safe: Option<String>) -> Option<ActionError> {
-    not_safe.filter(|_| matches!(result, Err(CallError::Failed(_)))).map(ActionError::NotSafe)
+/// The failure of a function that is none of the script: nothing may be opened now, or its time ran out while it waited
+/// for what keeps a dome shut. It passes, and is no alert.
+fn no_fault<T>(
+    result: &Result<T, CallError>,
+    not_safe: Option<String>,
+    waits_for: Option<String>,
+) -> Option<ActionError> {
+    let why = match result {
+        Err(CallError::Failed(_)) => not_safe,
+        Err(CallError::Late { .. }) => waits_for,
+        Ok(_) => None,
+    };
+    why.map(ActionError::NotSafe)
 }
 
 impl Host for OpeningFunction<'_> {
     async fn answer(&self, request: Request) -> HostAnswer {
         let Opening { opener, chain, .. } = *self.opening;
+        self.waits.store(true, Ordering::Relaxed);
         let done = match request {
             Request::Default if self.function == Function::Open => super::by_default(opener, chain).await,
             Request::OpenDomes if self.function == Function::Open => super::open_domes(opener).await,
             Request::OpenCovers if self.function == Function::Open => super::open_covers(opener).await,
             Request::Unpark if self.function == Function::Open => super::unpark(opener, chain).await,
-            other => return host::answer(&opener.authority, &opener.devices, self.function, other).await,
+            other => {
+                self.waits.store(false, Ordering::Relaxed);
+                return host::answer(&opener.authority, &opener.devices, self.function, other).await;
+            }
         };
+        self.waits.store(false, Ordering::Relaxed);
         if let Err(ActionError::NotSafe(why)) = &done {
             // The first reason is the one that counts.
             let _ = self.not_safe.set(why.clone());
@@ -146,10 +167,13 @@ mod tests {
     fn a_dome_that_is_kept_shut_is_no_fault_of_the_script() {
         let failed = || Err::<(), _>(CallError::Failed("nothing is opened (line 1, position 14)".to_owned()));
         let kept_shut = || Some("safetymonitor/m: what it published is not known".to_owned());
-        let error = no_fault(&failed(), kept_shut()).unwrap();
+        let error = no_fault(&failed(), kept_shut(), None).unwrap();
         assert!(matches!(&error, ActionError::NotSafe(_)) && error.may_pass(), "{error}");
-        assert!(no_fault(&failed(), None).is_none(), "it failed by itself");
-        assert!(no_fault(&Err::<(), _>(CallError::Late { after_s: 600.0 }), kept_shut()).is_none(), "and went on");
-        assert!(no_fault(&Ok(()), kept_shut()).is_none(), "it knew how to go on");
+        assert!(no_fault(&failed(), None, kept_shut()).is_none(), "it failed by itself");
+        let late = || Err::<(), _>(CallError::Late { after_s: 600.0 });
+        assert!(no_fault(&late(), kept_shut(), None).is_none(), "and went on");
+        let error = no_fault(&late(), None, kept_shut()).unwrap();
+        assert!(matches!(&error, ActionError::NotSafe(_)) && error.may_pass(), "it waited: {error}");
+        assert!(no_fault(&Ok(()), kept_shut(), kept_shut()).is_none(), "it knew how to go on");
     }
 }

@@ -7,8 +7,6 @@ mod by_script;
 
 use std::sync::Arc;
 
-use contract::device::dome::Shutter::Open;
-use contract::observatory::Unsafe;
 use safety::current_verdict::CurrentVerdict;
 use schedule::plan::overheads::{TOOK, TimedPart};
 use tokio::sync::watch;
@@ -36,25 +34,40 @@ pub struct Opener {
 ///
 /// The runner drops this as soon as the sky is not safe.
 pub async fn open(opener: &Opener, chain: &Chain<'_>) -> Result<(), ActionError> {
-    only_while_safe(opener)?;
-    let is_open = || opener.devices.domes.iter().all(|dome| dome.shutter() == Some(Open));
-    let (clock, was_shut) = (opener.authority.node.bus.clock(), !is_open());
-    if was_shut {
-        // Here, because it is no time of the site's script: it may take a dwell.
-        until_known(opener.authority.verdict.clone(), opener.devices.stirred(), is_open).await;
-        only_while_safe(opener)?;
-    }
+    let (clock, was_shut) = (opener.authority.node.bus.clock(), !opener.devices.are_domes_open());
+    wait_until_known(opener).await?;
     // A pending close request gives way to what is observed now.
     opener.authority.close_request.send_if_modified(|request| request.take().is_some());
     let began = clock.utc();
-    match opener.site.hooks.script()? {
-        Some(script) => by_script::open(opener, chain, script).await?,
-        None => by_default(opener, chain).await?,
-    }
+    let (authority, script) = (&opener.authority, opener.site.hooks.script()?);
+    let is_kept_shut = || authority.kept_shut(false).is_some();
+    let mut half_open = HalfOpen { close_request: &authority.close_request, is_kept_shut, is_over: false };
+    let opened = match script {
+        Some(script) => by_script::open(opener, chain, script).await,
+        None => by_default(opener, chain).await,
+    };
+    half_open.is_over = true;
+    opened?;
     if was_shut {
         tracing::info!(span = TimedPart::Open.word(), took_s = took_s(clock, began), "{TOOK}");
     }
     Ok(())
+}
+
+/// Orders everything to close where the opening is dropped because a dwell keeps a shut dome shut: half open is no state to
+/// leave things in, and the verdict is safe.
+struct HalfOpen<'a, F: Fn() -> bool> {
+    close_request: &'a watch::Sender<Option<String>>,
+    is_kept_shut: F,
+    is_over: bool,
+}
+
+impl<F: Fn() -> bool> Drop for HalfOpen<'_, F> {
+    fn drop(&mut self) {
+        if !self.is_over && (self.is_kept_shut)() {
+            self.close_request.send_replace(Some("opening was ended, since a shut dome is kept shut".to_owned()));
+        }
+    }
 }
 
 /// Opens every enclosure, then the covers, and takes the mount of a chain out of its park position.
@@ -99,6 +112,14 @@ pub async fn unpark(opener: &Opener, chain: &Chain<'_>) -> Result<(), ActionErro
     }
 }
 
+/// Waits until nothing keeps a shut dome shut, outside of the site's script: it may take a dwell.
+async fn wait_until_known(opener: &Opener) -> Result<(), ActionError> {
+    only_while_safe(opener)?;
+    let devices = &opener.devices;
+    until_known(opener.authority.verdict.clone(), devices.stirred(), || devices.are_domes_open()).await;
+    only_while_safe(opener)
+}
+
 fn only_while_safe(opener: &Opener) -> Result<(), ActionError> {
     if opener.authority.is_safe() {
         return Ok(());
@@ -111,15 +132,10 @@ fn only_while_safe(opener: &Opener) -> Result<(), ActionError> {
 /// # Errors
 /// Where a dwell runs over what is not known: too long for a device or a script to wait, so that opening begins anew.
 fn may_open(verdict: &CurrentVerdict) -> Result<bool, ActionError> {
-    // Of an answer nobody knows when it comes.
-    match verdict.keeps_shut.iter().find(|reason| reason.clears_in_s.is_some()) {
-        Some(reason) => Err(ActionError::NotSafe(in_words(reason))),
+    match verdict.shut_for_a_dwell() {
+        Some(why) => Err(ActionError::NotSafe(why)),
         None => Ok(verdict.keeps_shut.is_empty()),
     }
-}
-
-fn in_words(reason: &Unsafe) -> String {
-    format!("{}: {}", reason.input, reason.why)
 }
 
 /// Waits until nothing keeps a shut dome shut: an answer about what was missed has come, or its dwell has run again. Or
@@ -131,7 +147,7 @@ async fn until_known(
 ) {
     let mut is_told = false;
     loop {
-        let why = verdict.borrow_and_update().keeps_shut.first().map(in_words);
+        let why = verdict.borrow_and_update().why_kept_shut();
         let Some(why) = why.filter(|_| !is_open()) else { return };
         if !std::mem::replace(&mut is_told, true) {
             tracing::info!(why, "opening waits");
@@ -156,6 +172,8 @@ mod tests {
     use futures_util::FutureExt as _;
     use units::{MachineTime, Utc};
 
+    use contract::observatory::Unsafe;
+
     use super::*;
 
     fn keeps_shut(clears_in_s: Option<f64>) -> Unsafe {
@@ -164,6 +182,15 @@ mod tests {
 
     fn verdict() -> CurrentVerdict {
         CurrentVerdict::none(MachineTime::from_boot(Duration::from_secs(100)), Utc::EPOCH)
+    }
+
+    #[test]
+    fn an_opening_that_is_dropped_over_a_dome_that_is_kept_shut_is_closed_again() {
+        for (is_kept_shut, is_over, closes) in [(true, false, true), (true, true, false), (false, false, false)] {
+            let close_request = watch::channel(None).0;
+            drop(HalfOpen { close_request: &close_request, is_kept_shut: || is_kept_shut, is_over });
+            assert_eq!(close_request.borrow().is_some(), closes, "{is_kept_shut} {is_over}");
+        }
     }
 
     #[test]

@@ -233,7 +233,7 @@ impl Runner {
         let may = |index, row: &Row| {
             !self.rests.rests(&row.id, machine)
                 && !is_taken(index)
-                && self.tools.authority.objection(Some(row)).is_none()
+                && self.tools.authority.objection_to_begin(row).is_none()
         };
         let Some(index) = self.sequence.next(now, may) else { return false };
         let Some(row) = self.sequence.begin(index) else { return false };
@@ -262,7 +262,7 @@ impl Runner {
     fn forget_gone_causes(&self) {
         let machine = self.tools.authority.node.bus.clock().machine();
         let stands_against =
-            |row: &Row| self.rests.rests(&row.id, machine) || self.tools.authority.objection(Some(row)).is_some();
+            |row: &Row| self.rests.rests(&row.id, machine) || self.tools.authority.objection_to_begin(row).is_some();
         for index in self.sequence.released(stands_against) {
             self.tools.night.at(number(index), |row| row.detail.clear());
         }

@@ -193,6 +193,9 @@ fn general() -> Vec<Endpoint> {
         )
         .summary("The report of a night as a page.")
         .gives_media("text/html", "The report."),
+        Endpoint::get("/api/v1/telescopes/{site}/{telescope}/nights/{night}/alerts", "night_alerts", TELESCOPE, reports::alerts)
+            .summary("Alerts that stood in a night, also those that are over, in the order in which they were raised.")
+            .gives::<ArchiveAnswer>("The alerts."),
         Endpoint::get("/api/v1/telescopes/{site}/{telescope}/series", "series", TELESCOPE, history::series)
             .summary("Properties over any time, drawn with few points; extremes are kept and gaps listed.")
             .query::<history::SeriesQuery>()

@@ -38,7 +38,7 @@ pub struct FramesQuery {
     object: Option<String>,
     /// Filter in the beam.
     filter: Option<String>,
-    /// light, bias, dark or flat.
+    /// light, acquisition, bias, dark, flat, test, or any IMAGETYP keyword.
     image_type: Option<String>,
     /// What shows this place, as right ascension and declination in degrees (ICRS): 97.6366,29.6723.
     covers: Option<String>,

@@ -1,4 +1,4 @@
-//! The report of a night, made by the telescope's archive.
+//! The report of a night, and its alerts alone, by the telescope's archive.
 
 use std::sync::Arc;
 
@@ -6,10 +6,14 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use contract::Key;
+use contract::archive::{ArchiveQuestion, Ask};
 use contract::archived_frame::{ReportAnswer, ReportForm, ReportGiven, ReportQuestion};
+use sky::NightDate;
+use units::Angle;
 
 use crate::problem::Problem;
 use crate::routes::frames::{FramePath, TIMEOUT, problem, silent};
+use crate::routes::history::ask_archive;
 use crate::routes::network::known;
 use crate::server::Server;
 
@@ -32,19 +36,35 @@ pub async fn page(server: State<Arc<Server>>, path: FramePath) -> Result<Respons
     ask(server, path, ReportForm::Html).await
 }
 
+/// The alerts that stood in a night, as the report has them.
+pub async fn alerts(
+    State(server): State<Arc<Server>>,
+    Path((site, telescope, night)): FramePath,
+) -> Result<Response, Problem> {
+    let address = known(&server.network, &site, &telescope)?;
+    let date = date(&night)?;
+    // As the summary names the night of now; where no place is known, the page counts nights by UTC.
+    let place = server.network.read().place(&address);
+    let longitude = place.map_or(Angle::from_degrees(0.0), |(place, _)| place.longitude_east());
+    let (from_utc, to_utc) = (Some(date.noon(longitude)), Some(date.next().noon(longitude)));
+    let question = ArchiveQuestion { ask: Ask::Alerts, from_utc, to_utc, limit: None };
+    ask_archive(&server, &(site, telescope), &question).await
+}
+
+/// The night of an address, such as `20261121` or `2026-11-21`.
+fn date(night: &str) -> Result<NightDate, Problem> {
+    night.replace('-', "").parse().map_err(|_| {
+        Problem::not_found(format!("{night:?} is no night; expected the date of its evening, such as 20261121."))
+    })
+}
+
 async fn ask(
     State(server): State<Arc<Server>>,
     Path((site, telescope, night)): FramePath,
     form: ReportForm,
 ) -> Result<Response, Problem> {
     let address = known(&server.network, &site, &telescope)?;
-    let date = night.replace('-', "");
-    if date.len() != 8 || !date.bytes().all(|byte| byte.is_ascii_digit()) {
-        return Err(Problem::not_found(format!(
-            "{night:?} is no night; expected the date of its evening, such as 20261121."
-        )));
-    }
-    let question = ReportQuestion { night: date, form };
+    let question = ReportQuestion { night: date(&night)?.to_string(), form };
     let answer: Result<ReportAnswer, _> = server.bus.ask(&Key::NightReport(address), &question, TIMEOUT).await;
     let text = match answer.map_err(|error| silent(&site, &telescope, &error))?.gives {
         ReportGiven::Report(text) => text,

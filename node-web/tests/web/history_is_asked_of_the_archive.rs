@@ -75,6 +75,10 @@ async fn what_is_no_question_is_refused_with_a_problem_and_never_asked() {
     let long = "x".repeat(201);
     let (status, problem) = stage.get(&format!("{TELESCOPE}/log?text={long}")).await;
     assert!(status == 400 && problem["detail"].as_str().unwrap().contains("at most 200 bytes"), "{problem}");
+    for night in ["x", "2026", "20261332", "20261121.html"] {
+        let (status, problem) = stage.get(&format!("{TELESCOPE}/nights/{night}/alerts")).await;
+        assert_eq!((status.as_u16(), &problem["code"]), (404, &json!("not-found")), "{night}: {problem}");
+    }
     assert_eq!(questions.lock().unwrap().len(), before, "none of them was asked");
     for telescope in ["*/*", "**/callisto", "paranal%2Fx/callisto", "paranal/%24", "%20/%20"] {
         for about in ["frames", "series?properties=observingconditions/wx/WindGust"] {
@@ -137,6 +141,14 @@ async fn a_question_comes_to_the_archive_as_it_was_asked() {
         stage.until(&format!("{TELESCOPE}/log?{query}"), |answer| answer["rows"].is_array()).await;
         let newest = questions.lock().unwrap().last().cloned().unwrap();
         assert_eq!((newest.ask, newest.limit), (Ask::FindLog(Box::new(search)), limit), "{query}");
+    }
+    // From noon to noon, local mean time of the place.
+    for night in ["20261121", "2026-11-21"] {
+        let path = format!("{TELESCOPE}/nights/{night}/alerts");
+        stage.until(&path, |answer| answer["rows"].is_array()).await;
+        let [from_utc, to_utc] = ["2026-11-21", "2026-11-22"].map(|day| format!("{day}T16:41:36Z").parse().ok());
+        let expected = ArchiveQuestion { ask: Ask::Alerts, from_utc, to_utc, limit: None };
+        assert_eq!(questions.lock().unwrap().last(), Some(&expected), "{night}");
     }
     stage.end().await;
 }

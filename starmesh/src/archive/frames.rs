@@ -2,7 +2,7 @@
 
 use clap::Args;
 use contract::frame_search::{FoundFrame, FrameSearch, SkyPlace};
-use node_archive::reader::FoundFrames;
+use node_archive::reader::{FoundFrames, IMAGE_TYPES};
 use units::Utc;
 
 use crate::console::{document_line, foreign_line, line};
@@ -29,8 +29,7 @@ pub struct Options {
     /// Name of the filter.
     #[arg(long)]
     filter: Option<String>,
-    /// Kind of frame: light, bias, dark, flat, or any IMAGETYP keyword.
-    #[arg(long = "type", value_name = "TYPE")]
+    #[arg(long = "type", value_name = "TYPE", help = kinds())]
     image_type: Option<String>,
     /// A place that the frame shows by its plate solution: right ascension and declination, degrees, ICRS.
     #[arg(long, value_name = "RA,DEC", allow_hyphen_values = true)]
@@ -68,6 +67,11 @@ impl Options {
             with_calibration: self.with_calibration,
         }
     }
+}
+
+/// The help of `--type`.
+fn kinds() -> String {
+    format!("Kind of frame: {}, or any IMAGETYP keyword", IMAGE_TYPES.map(|(word, _)| word).join(", "))
 }
 
 fn arcsec(text: &str) -> Result<f64, String> {
@@ -138,6 +142,14 @@ mod tests {
         let search = |arguments: &[&str]| options(arguments).unwrap().search();
         assert_eq!(search(&[]), FrameSearch::default());
         assert_eq!(search(&["--covers", "0,-90"]).covers, Some(SkyPlace { ra_deg: 0.0, dec_deg: -90.0 }));
+    }
+
+    #[test]
+    fn the_help_names_each_kind_of_frame_that_is_found_by_its_word() {
+        let command = Options::augment_args(clap::Command::new("frames"));
+        let help = command.get_arguments().find(|argument| argument.get_long() == Some("type")).unwrap().get_help();
+        let expected = "Kind of frame: light, acquisition, bias, dark, flat, test, or any IMAGETYP keyword";
+        assert_eq!(help.unwrap().to_string(), expected);
     }
 
     #[test]

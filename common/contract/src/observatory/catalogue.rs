@@ -100,7 +100,8 @@ catalogue! {
     /// A node that published, or that ought to run, is silent now: it ended, hangs, or its host or the network is down. The
     /// time counts from the last that was received of it. After its own start the observatory node expects the device nodes
     /// and archive nodes that its file names, and what ran in the last seven days and has not ended in good order; it gives
-    /// them 120 s, since after a power cut other computers start later.
+    /// them 120 s, since after a power cut other computers start later; one that was heard once and was silent
+    /// before that start, with the host of the observatory node running since, gets 15 s.
     NodeSilent: network::NODE_SILENT,
     /// A node hung and was ended by its supervisor, or ended three times within ten minutes without being asked to. The cause
     /// says how it ended last, such as by which signal.

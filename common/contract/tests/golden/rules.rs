@@ -177,6 +177,7 @@ fn words() -> BTreeMap<String, BTreeMap<String, Vec<String>>> {
     put("archive.question", "ask.find_log.level", words_of::<node::Level>(json!("?")));
     put("archive.answer", "rows.*.series.kind", words_of::<Kind>(json!("?")));
     put("archive.answer", "rows.*", words_of::<archive::ArchiveRow>(json!("?")));
+    put("archive.answer", "rows.*.alert.priority", words_of::<observatory::Priority>(json!("?")));
     let calibrates = words_of::<contract::frame_search::CalibrationFrame>(json!("?"));
     put("archive.answer", "rows.*.found_frame.calibrates", calibrates);
     put("archive.answer", "rows.*.log.level", words_of::<node::Level>(json!("?")));

@@ -55,6 +55,13 @@ pub struct Needs {
     pub all_before: bool,
 }
 
+impl Needs {
+    /// Does it open what is shut? What leaves roof and mount alone takes its frames as they are.
+    pub fn opens(self) -> bool {
+        self.safe && self.mount
+    }
+}
+
 /// What the parameters of an action say of it, before it runs.
 pub trait Parameters {
     /// Refuses parameters that do not fit together; each by itself fits the schema.
