@@ -121,8 +121,18 @@ mod tests {
         let orders = ActiveOrders { stay_closed: Some(ordered_by), overrides, ..ActiveOrders::default() };
         crate::persisted::write_whole(&path, &folder.path().join("part"), &orders).unwrap();
         assert_eq!(read(&path), OnDisk::Found(orders));
-        std::fs::write(&path, "{").unwrap();
-        assert!(read(&path).orders(now).stay_closed.is_some());
+        // What is cut, and what is another file.
+        for other in [
+            "{",
+            "{}",
+            "[]",
+            "null",
+            r#"{"device/main": {"words": "the device node main"}}"#,
+            r#"{"overrides": {}, "nodes": 1}"#,
+        ] {
+            std::fs::write(&path, other).unwrap();
+            assert!(read(&path).orders(now).stay_closed.is_some(), "{other}");
+        }
         let names = std::fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().file_name());
         assert!(
             names

@@ -291,10 +291,9 @@ impl Summary {
         let stopped = stopped_telescope(telescope);
         let is_stopped_closed = stopped.as_ref().is_some_and(StoppedTelescope::is_closed);
         let nodes = nodes(telescope, now);
-        // What the nodes reported last is over, and nothing stands open; a device node that goes on may report that again.
-        let is_over = is_stopped_closed && nodes.iter().all(|node| node.state.ended_well());
         let of_shared = site.map(|site| about(site, names)).unwrap_or_default();
-        let alerts = if is_over { of_shared } else { active(telescope, of_shared, now) };
+        let was_ended = is_over(telescope, now);
+        let alerts = if was_ended { of_shared } else { active(telescope, of_shared, now) };
         let fresh_safety = safety.as_ref().filter(|(entry, _)| entry.quality(now) == Quality::Fresh).map(|(_, s)| s);
         let schedule = telescope.read::<ScheduleState>(&part(Part::Schedule)).map(|(_, schedule)| schedule);
         let orders = telescope.read::<OperatorOrders>(&part(Part::OperatorOrders)).map(|(_, orders)| orders);
@@ -332,7 +331,7 @@ impl Summary {
                 None => seen.now(),
             },
             domes: match fresh_night {
-                None if !is_over => domes.iter().map(DomeView::words).collect(),
+                None if !was_ended => domes.iter().map(DomeView::words).collect(),
                 _ => Vec::new(),
             },
             mode: match fresh_night.map(|night| night.robotic) {
@@ -409,6 +408,13 @@ fn stopped_telescope(telescope: &Telescope) -> Option<StoppedTelescope> {
     let closed = (!known.is_empty()).then(|| known.iter().all(|closed| *closed));
     let text = Stopped { closed, ..last }.to_string();
     Some(StoppedTelescope { text, closed })
+}
+
+/// Was it stopped in good order, and nothing stands open? What its nodes reported last is over then; a device node that goes
+/// on may report that again.
+pub fn is_over(telescope: &Telescope, now: MachineTime) -> bool {
+    stopped_telescope(telescope).is_some_and(|stopped| stopped.is_closed())
+        && nodes(telescope, now).iter().all(|node| node.state.ended_well())
 }
 
 /// Pixels become arcsec by the scale of the newest solved frame of the same camera.

@@ -93,7 +93,10 @@ fn lock(path: &Path) -> Result<Option<File>, AlreadyLocked> {
 
 /// A file of another account, such as root's after `sudo starmesh up`, can be locked by whoever may read it.
 fn or_read_only(opened: std::io::Result<File>, at: &Path) -> std::io::Result<File> {
-    opened.or_else(|error| if error.kind() == ErrorKind::PermissionDenied { File::open(at) } else { Err(error) })
+    opened.or_else(|error| match File::open(at) {
+        Ok(file) if error.kind() == ErrorKind::PermissionDenied => Ok(file),
+        _ => Err(error),
+    })
 }
 
 fn alive_up(path: &Path) -> Option<Process> {
@@ -296,6 +299,8 @@ mod tests {
         let file = or_read_only(refused, &path.with_extension("up-lock")).unwrap();
         file.try_lock().unwrap();
         assert!(lock(&path).is_err(), "another one has it");
+        let refused = or_read_only(Err(ErrorKind::PermissionDenied.into()), &folder.path().join("none.up-lock"));
+        assert_eq!(refused.unwrap_err().kind(), ErrorKind::PermissionDenied, "not that there is no file to read");
         let full = or_read_only(Err(ErrorKind::StorageFull.into()), &path.with_extension("up-lock"));
         assert_eq!(full.unwrap_err().kind(), ErrorKind::StorageFull);
     }

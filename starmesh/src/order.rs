@@ -9,7 +9,7 @@ use contract::command::operator;
 use contract::observatory::OperatorOrders;
 use contract::order_form::{ORDERS, OrderForm, OrderParameter, ParameterValue, check_reason};
 use contract::{Address, CommandId, Key, Order, OrderKind, Part, printable};
-use orders::{Follower, GivenOn, NotAccepted, NotClosed, NotDone, TakenBy};
+use orders::{Follower, NotAccepted, NotClosed, NotDone, TakenBy};
 use serde_json::{Map, Value, json};
 
 use crate::console::{foreign_line, line};
@@ -204,7 +204,7 @@ async fn close(bus: &bus::Bus, address: &Address, order: &Order, waits: Waits, j
         false => format!("; waiting until it is verified closed, at most {:.0} s", wait.as_secs_f64()),
     };
     let mut was_silent = false;
-    let print = |taken: &TakenBy| {
+    let mut print = |taken: &TakenBy| {
         // A reader that has gone does not keep the telescope from being closed.
         let _ = match taken {
             TakenBy::Observatory | TakenBy::Ended(_) if was_silent => {
@@ -226,24 +226,29 @@ async fn close(bus: &bus::Bus, address: &Address, order: &Order, waits: Waits, j
         let goes_on = format!("This order is followed and asked for {} s more", heard.as_secs());
         let _ = foreign_line(format_args!("{late}. {goes_on}"));
     };
-    let taken = match orders::close_and_go_on(bus, &follower, order, (wait, heard), print, late).await {
+    let mut taken = match orders::close_and_go_on(bus, &follower, order, (wait, heard), &mut print, late).await {
         Ok(taken) => taken,
         Err(NotDone::NotAccepted(error)) if error.is_silence() => {
             return Err(telescopes::unanswered(address, bus, join).await);
         }
         Err(NotDone::NotAccepted(error)) => return Err(refused(&error)),
-        Err(NotDone::NotClosed(error)) => bail!("{}", printable(&error.to_string())),
+        Err(error) => bail!("{}", printable(&error.to_string())),
     };
-    if !wait.is_zero() {
-        line(format_args!("{}", taken.closed_words()))?;
-    }
-    let Some(warning) = taken.warning() else { return Ok(()) };
-    line(format_args!("but {warning}. It is asked for {} s more", heard.as_secs()))?;
-    match orders::give_on(bus, &follower, order, heard).await {
-        Ok(taken @ GivenOn::Taken) => line(format_args!("{}", taken.words())),
-        Ok(replaced) => bail!("it was only closed: {}", printable(&replaced.words())),
-        Err(error) if error.is_silence() => bail!("it was only closed: no observatory node answers"),
-        Err(error) => Err(refused(&error)),
+    loop {
+        if !wait.is_zero() {
+            line(format_args!("{}", taken.closed_words()))?;
+        }
+        let Some(warning) = taken.warning() else { return Ok(()) };
+        line(format_args!("but {warning}. It is asked for {} s more", heard.as_secs()))?;
+        taken = match orders::give_on(bus, &follower, order, (heard, wait), &mut print).await {
+            Ok(taken) => taken,
+            Err(NotDone::NotAccepted(error)) if error.is_silence() => {
+                bail!("it was only closed: no observatory node answers")
+            }
+            Err(NotDone::NotAccepted(error)) => return Err(refused(&error)),
+            Err(error @ NotDone::Replaced(_)) => bail!("it was only closed: {}", printable(&error.to_string())),
+            Err(NotDone::NotClosed(error)) => bail!("{}", printable(&error.to_string())),
+        };
     }
 }
 

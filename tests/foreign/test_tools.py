@@ -138,6 +138,19 @@ def test_ocs_ingester_makes_a_record_of_every_copy_by_the_profile_lco(night, lco
     assert outlines > 10
 
 
+def test_a_whole_night_by_the_profile_eso_is_whole_and_valid(night, starmesh, tmp_path):
+    """ESO's validator is not public: its rules are those of `fits check`."""
+    run(starmesh, "fits", "convert", *night.files, "--profile", "eso", "--out", tmp_path / "eso", "--set", "INSTRUME=STARMESH1", "--set", "PROGID=118.28AB.001")
+    copies = sorted((tmp_path / "eso").iterdir())
+    assert len(copies) == len(night.files)
+    assert "missing" not in run(starmesh, "fits", "check", *copies, "--profile", "eso")
+    assert run("fitsverify", *copies).count("Verification found 0 warning(s) and 0 error(s)") == len(copies)
+    kinds = Counter((fits.getval(path, "ESO DPR CATG"), fits.getval(path, "ESO DPR TYPE")) for path in copies)
+    assert {catg for catg, _ in kinds} <= {"SCIENCE", "ACQUISITION", "CALIB", "TEST"} and kinds["SCIENCE", "OBJECT"] == len(night.of("Light")), kinds
+    SAID["`starmesh fits check --profile eso`"] = (
+        run(starmesh, "--version").split()[-1], f"{len(copies)} copies of {len(night.files)} frames, nothing missing; `fitsverify`: no warning")
+
+
 def test_solve_field_says_the_parity_of_the_header(night, tmp_path):
     solver = shutil.which("solve-field")
     assert solver, "solve-field is missing: apt-get install astrometry.net (scripts/setup does)"

@@ -374,10 +374,13 @@ impl Guard {
                 false
             }
             Some(Shutter::Closed) => {
-                // Right after the command a dome may still report closed.
-                let about_to_open =
-                    matches!(self.expected, Expected::Open { since } if now.since(since) < self.settings.travel);
-                if !about_to_open {
+                // Right after a command to open a dome may still report closed, also if it was told to close since.
+                let may_open = match self.expected {
+                    Expected::Open { since } => now.since(since) < self.settings.travel,
+                    Expected::Closing => !self.evidence.is_credible(now, FRESH),
+                    Expected::Unknown | Expected::Closed => false,
+                };
+                if !may_open {
                     self.expected = Expected::Closed;
                 }
                 false

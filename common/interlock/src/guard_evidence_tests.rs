@@ -87,6 +87,23 @@ fn a_status_that_sticks_at_anything_else_is_asked_to_close_for_ever() {
 }
 
 #[test]
+fn an_opening_that_begins_after_the_command_to_close_was_commanded_and_one_after_the_proof_was_not() {
+    for shutter in [Shutter::Opening, Shutter::Open] {
+        let mut guard = opened(Shutter::Closed);
+        guard.close_commanded(at(3.0));
+        guard.close_sent(at(3.0));
+        guard.close_answered(true, at(3.0));
+        assert_eq!(guard.sees(at(3.5), Some(Shutter::Closed), true), [], "its opening has not begun");
+        for (second, seen) in [(4.0, shutter), (5.0, Shutter::Closing), (6.0, Shutter::Closed)] {
+            assert_eq!(guard.sees(at(second), Some(seen), true), [], "{shutter:?}, second {second}");
+        }
+        assert!(guard.is_closed(at(6.0)));
+        let steps = guard.sees(at(7.0), Some(shutter), true);
+        assert_eq!(steps, [GuardStep::Close, GuardStep::Raise(Alarm::Uncommanded)], "nobody commanded this one");
+    }
+}
+
+#[test]
 fn what_was_read_before_the_request_proves_nothing() {
     let mut guard = opened(Shutter::Open);
     unsafe_at(&mut guard, 3.0);

@@ -28,6 +28,8 @@ const MOST_NODES: usize = 128;
 const EXPECTED_FOR_S: u64 = 7 * 86_400;
 /// The time at which a node was heard is written so often.
 const NOTED_EVERY_S: u64 = 3600;
+/// This node looks each second. One that has not looked for so long stood still itself, and has heard nobody meanwhile.
+const STOOD_STILL: Duration = Duration::from_secs(4);
 
 /// Raises, while `raises` says so, an alert for each other node of this telescope and of its site's shared devices that has
 /// published and is silent now, for ever. An observatory node raises it for those, too, that it expects and that have not
@@ -58,6 +60,7 @@ async fn notice_silence(node: Node, starts_within: Duration, raises: impl Fn() -
         nodes = OtherNodes::expected(&named, known, missed_from, now_s());
     }
     let (mut is_due, mut writing) = (false, None::<JoinHandle<()>>);
+    let mut looked = clock.machine();
     loop {
         if let Ok(state) = tokio::time::timeout(Duration::from_secs(1), states.recv()).await
             && let Some((instance, words)) = name(&state.key, &own)
@@ -65,9 +68,11 @@ async fn notice_silence(node: Node, starts_within: Duration, raises: impl Fn() -
             node.alerts.clear(AlertKind::NodeSilent, &instance);
             is_due |= nodes.take(instance, &words, &state.sample.body, state.arrived, now_s());
         }
-        is_due |= nodes.note_missed(clock.machine(), &boot_id);
+        let before = std::mem::replace(&mut looked, clock.machine());
+        nodes.look(before, looked);
+        is_due |= nodes.note_missed(looked, &boot_id);
         if raises() {
-            nodes.raise_silent(clock.machine(), &node.alerts);
+            nodes.raise_silent(looked, &node.alerts);
         }
         // A disk that hangs keeps nobody from noticing silence.
         if let Some(file) = file.as_ref().filter(|_| is_due && writing.as_ref().is_none_or(JoinHandle::is_finished)) {
@@ -254,6 +259,16 @@ impl OtherNodes {
         has_changed
     }
 
+    /// Looks `now`, after it did `before`: a time in which this node itself stood still proves nobody's silence.
+    fn look(&mut self, before: MachineTime, now: MachineTime) {
+        if now.since(before) <= STOOD_STILL {
+            return;
+        }
+        for from in self.0.values_mut().filter_map(|node| node.missed_from.as_mut()).filter(|from| **from > before) {
+            *from = (*from).max(now.plus(LOST));
+        }
+    }
+
     /// Notes those that have been silent for too long; true where what is to be written has changed.
     fn note_missed(&mut self, now: MachineTime, boot_id: &str) -> bool {
         let mut has_changed = false;
@@ -309,6 +324,21 @@ mod tests {
     fn key(telescope: &str, role: Role, id: &str) -> Key {
         let id: Name = id.parse().unwrap();
         Key::Node(Address::new("paranal", telescope).unwrap(), role, id, NodeTopic::State)
+    }
+
+    #[test]
+    fn a_time_in_which_this_node_stood_still_is_no_silence_of_others() {
+        let mut nodes = OtherNodes::default();
+        for (instance, heard_s) in [("device/main", 100), ("device/dome", 60)] {
+            nodes.take(instance.to_owned(), "a device node", &state(None), at(heard_s), NOW_S);
+        }
+        nodes.look(at(100), at(104));
+        assert_eq!(nodes.silent(at(116)).count(), 2, "it looked late, and did look");
+        nodes.look(at(101), at(180));
+        let silent =
+            |nodes: &OtherNodes, now_s| nodes.silent(at(now_s)).map(|(id, _)| id.to_owned()).collect::<Vec<_>>();
+        assert_eq!(silent(&nodes, 195), ["device/dome"], "this one was silent before");
+        assert_eq!(silent(&nodes, 196), ["device/dome", "device/main"], "and this one has had its time since");
     }
 
     #[test]

@@ -123,10 +123,8 @@ impl Follower {
         while began.elapsed() < within {
             let left = within.saturating_sub(began.elapsed()).min(Duration::from_secs(1));
             tokio::select! {
-                received = self.nights.recv() => {
-                    self.see_replaced(order, &received);
-                    seen.see_night(&received.sample.body, &order.id, given_utc, received.arrived);
-                }
+                // What guards have said counts before the night is believed.
+                biased;
                 received = self.guards.recv() => {
                     let guard = &received.sample.body;
                     // A guard that was restarted names nobody at first.
@@ -141,6 +139,10 @@ impl Follower {
                     if let Key::Permit(_, dome) = received.key {
                         seen.see_permit(dome, received.sample.body.guard_boot_id, received.arrived);
                     }
+                }
+                received = self.nights.recv() => {
+                    self.see_replaced(order, &received);
+                    seen.see_night(&received.sample.body, &order.id, given_utc, received.arrived);
                 }
                 () = tokio::time::sleep(left) => {}
             }

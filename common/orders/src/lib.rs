@@ -181,6 +181,9 @@ pub enum NotDone {
     /// It was taken, and the telescope is not verified closed.
     #[error(transparent)]
     NotClosed(#[from] NotClosed),
+    /// The observatory node has taken this one about the same thing, which is newer; ours was not given any more.
+    #[error("{}", replaced_by_words(.0))]
+    Replaced(Box<OrderTaken>),
 }
 
 /// Gives an order that closes, and waits until the telescope is verified closed; not at all where `within` is zero.
@@ -239,13 +242,12 @@ pub async fn close_and_go_on(
             ask_again()
         };
         match ask_on(bus, follower, order, Duration::MAX, again).await {
-            Ok(GivenOn::Taken) => Ok(()),
-            Ok(GivenOn::Replaced(_)) => {
+            Err(NotDone::Replaced(_)) => {
                 // Nobody is asked any more, and the domes are followed to their end.
                 silences.send_replace(TRIES);
                 pending().await
             }
-            Err(error) => Err(error),
+            answer => answer,
         }
     };
     let mut answers = pin!(answers);
@@ -299,25 +301,6 @@ async fn closed_by_observatory(
 /// is started again within half a minute, and would open again by its schedule.
 pub const GIVEN_ON: Duration = Duration::from_secs(120);
 
-/// How it ended that an order which only guards carried out was given on.
-#[derive(Debug, Clone, PartialEq)]
-pub enum GivenOn {
-    /// The observatory node has taken it.
-    Taken,
-    /// The observatory node has taken this one about the same thing, which is newer; ours was not given any more.
-    Replaced(OrderTaken),
-}
-
-impl GivenOn {
-    /// For people.
-    pub fn words(&self) -> String {
-        match self {
-            Self::Taken => "the observatory node answers now, and has taken the order".to_owned(),
-            Self::Replaced(newer) => replaced_by_words(newer),
-        }
-    }
-}
-
 /// What became of an order that a newer one replaced, for people.
 fn replaced_by_words(OrderTaken { from, at_utc, .. }: &OrderTaken) -> String {
     format!(
@@ -327,27 +310,40 @@ fn replaced_by_words(OrderTaken { from, at_utc, .. }: &OrderTaken) -> String {
     )
 }
 
-/// Gives an order that only guards carried out to the observatory node, until that answers, or the time is over; not any
-/// more once that has taken a newer order about the same thing from anybody, also while the order was followed.
+/// Gives an order that only guards carried out to the observatory node, until that answers, or `heard` is over; not any
+/// more once that has taken a newer order about the same thing from anybody, also while the order was followed. When it
+/// answers, `taken` is called, and the order is followed as by [`close()`]: a dome may have begun to open before.
 ///
 /// # Errors
-/// It did not answer, or refuses.
-pub async fn give_on(bus: &Bus, follower: &Follower, order: &Order, within: Duration) -> Result<GivenOn, NotAccepted> {
-    ask_on(bus, follower, order, within, ask_again).await
+/// It did not answer, refuses, has taken a newer order, or not everything is verified closed in the time `within` after it
+/// took this one.
+pub async fn give_on(
+    bus: &Bus,
+    follower: &Follower,
+    order: &Order,
+    (heard, within): (Duration, Duration),
+    taken: impl FnOnce(&TakenBy),
+) -> Result<TakenBy, NotDone> {
+    let given_utc = bus.clock().utc();
+    ask_on(bus, follower, order, heard, ask_again).await?;
+    taken(&TakenBy::Observatory);
+    closed_by_observatory(follower, order, given_utc, within).await
 }
 
-/// As [`give_on`]; `silent` is called at each silence.
+/// Asks the observatory node until it takes the order; `silent` is called at each silence.
 async fn ask_on(
     bus: &Bus,
     follower: &Follower,
     order: &Order,
     within: Duration,
     silent: impl FnMut() -> Ready<ControlFlow<Infallible>>,
-) -> Result<GivenOn, NotAccepted> {
+) -> Result<(), NotDone> {
     tokio::select! {
         biased;
-        newer = follower.until_replaced(order) => Ok(GivenOn::Replaced(newer)),
-        answer = give_until_answered(bus, &follower.address, order, within, silent) => answer.map(|_| GivenOn::Taken),
+        newer = follower.until_replaced(order) => Err(NotDone::Replaced(Box::new(newer))),
+        answer = give_until_answered(bus, &follower.address, order, within, silent) => {
+            answer.map(|_| ()).map_err(NotDone::from)
+        }
     }
 }
 

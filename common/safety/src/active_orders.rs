@@ -30,8 +30,9 @@ pub struct Override {
 
 /// The operator orders.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ActiveOrders {
-    /// Fencing token of the commander that keeps them; absent in files of versions that did not write it.
+    /// Fencing token of the commander that keeps them; absent where there is no arbiter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub token: Option<u64>,
     /// Nothing opens while this is active.
@@ -40,8 +41,7 @@ pub struct ActiveOrders {
     /// The operator who has taken the telescope from the schedule.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub control: Option<OrderedBy>,
-    /// By input.
-    #[serde(default)]
+    /// By input. Always written: another file in the place of this one releases nobody's order to stay closed.
     pub overrides: BTreeMap<String, Override>,
 }
 

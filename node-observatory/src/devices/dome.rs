@@ -196,9 +196,14 @@ impl Dome {
         self.instrument.until(command_timeout(clock, self.travel), "open", open).await?
     }
 
+    /// Has its guard closed it, and opens it for nobody until the hold is ended?
+    pub fn is_held(&self) -> bool {
+        self.guard.fresh(GUARD_AGE).is_some_and(|guard| guard.sample.body.hold)
+    }
+
     /// True where there was a hold to end.
     async fn end_hold(&self) -> Result<bool, ActionError> {
-        let holds = self.guard.fresh(GUARD_AGE).is_some_and(|guard| guard.sample.body.hold);
+        let holds = self.is_held();
         if holds {
             tracing::info!(dome = %self.instrument.device.name, "the guard had closed; taking over again");
             self.instrument.ask(Command::Resume).await?;

@@ -6,6 +6,7 @@
 mod by_script;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use safety::current_verdict::CurrentVerdict;
 use schedule::plan::overheads::{TOOK, TimedPart};
@@ -13,10 +14,15 @@ use tokio::sync::watch;
 
 use crate::action_error::ActionError;
 use crate::authority::Authority;
+use crate::devices::dome::Dome;
 use crate::devices::{Chain, Devices};
 use crate::hooks::ScriptedSite;
 use crate::slit::{self, Slits};
 use crate::took::took_s;
+
+/// An order to close that the guards took while no observatory node answered is given to this one within so long,
+/// machine time: nothing moves before that.
+const ASKED_WITHIN: Duration = Duration::from_secs(5);
 
 /// What opening works with.
 pub struct Opener {
@@ -36,6 +42,14 @@ pub struct Opener {
 pub async fn open(opener: &Opener, chain: &Chain<'_>) -> Result<(), ActionError> {
     let (clock, was_shut) = (opener.authority.node.bus.clock(), !opener.devices.are_domes_open());
     wait_until_known(opener).await?;
+    if opener.devices.domes.iter().any(Dome::is_held) {
+        tracing::info!(
+            wait_s = ASKED_WITHIN.as_secs(),
+            "opening waits, in case whoever let a guard close asks this node, too"
+        );
+        tokio::time::sleep(ASKED_WITHIN).await;
+        wait_until_known(opener).await?;
+    }
     // A pending close request gives way to what is observed now.
     opener.authority.close_request.send_if_modified(|request| request.take().is_some());
     let began = clock.utc();
@@ -167,12 +181,10 @@ async fn until_known(
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicBool, Ordering};
-    use std::time::Duration;
-
-    use futures_util::FutureExt as _;
-    use units::{MachineTime, Utc};
 
     use contract::observatory::Unsafe;
+    use futures_util::FutureExt as _;
+    use units::{MachineTime, Utc};
 
     use super::*;
 

@@ -16,7 +16,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Response};
 use contract::order_form::{BadOrder, LONGEST_REASON, OrderForm};
 use contract::{Address, CommandId, Order, Reason, Refusal};
-use orders::{Follower, GivenOn, NotAccepted, NotClosed, NotDone, TakenBy};
+use orders::{Follower, NotAccepted, NotClosed, NotDone, TakenBy};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -234,9 +234,8 @@ async fn close(
     };
     let late = |late: &NotClosed| command.note(Progress::Failed, Some(late.to_string()), utc());
     let times = (deadline, orders::GIVEN_ON);
-    let taken = match orders::close_and_go_on(&server.bus, &follower, order, times, taken, late).await {
+    let mut taken = match orders::close_and_go_on(&server.bus, &follower, order, times, taken, late).await {
         Ok(taken) => taken,
-        Err(NotDone::NotClosed(error)) => return command.note(Progress::Failed, Some(error.to_string()), utc()),
         Err(NotDone::NotAccepted(error)) => {
             let is_silence = error.is_silence();
             not_accepted(command, error, utc());
@@ -247,21 +246,28 @@ async fn close(
             let Ok(taken) = follower.until_closed(order, given_utc, deadline).await else { return };
             taken
         }
+        Err(error) => return command.note(Progress::Failed, Some(error.to_string()), utc()),
     };
-    let warning = taken.warning().map(|warning| format!(", but {warning}"));
-    let by_guards_alone = warning.is_some();
-    let detail = format!("{}{}", taken.closed_words(), warning.unwrap_or_default());
-    // The domes close, and do nothing else that was ordered.
-    let is_whole = !by_guards_alone || form.word == CLOSE;
-    let progress = if is_whole { Progress::Done } else { Progress::Failed };
-    command.note(progress, Some(detail), utc());
-    if !by_guards_alone {
-        return;
-    }
-    // An error adds nothing to what was noted.
-    if let Ok(given) = orders::give_on(&server.bus, &follower, order, orders::GIVEN_ON).await {
-        let detail = format!("{}; {}", taken.closed_words(), given.words());
-        command.note(if given == GivenOn::Taken { Progress::Done } else { progress }, Some(detail), utc());
+    loop {
+        let closed = taken.closed_words();
+        let Some(warning) = taken.warning() else { return command.note(Progress::Done, Some(closed), utc()) };
+        // The domes close, and do nothing else that was ordered.
+        let progress = if form.word == CLOSE { Progress::Done } else { Progress::Failed };
+        command.note(progress, Some(format!("{closed}, but {warning}")), utc());
+        let taken_now = |_: &TakenBy| {
+            let detail = format!("{closed}; the observatory node answers now, and has taken the order");
+            command.note(progress, Some(detail), utc());
+        };
+        let times = (orders::GIVEN_ON, deadline);
+        taken = match orders::give_on(&server.bus, &follower, order, times, taken_now).await {
+            Ok(taken) => taken,
+            Err(NotDone::NotClosed(error)) => return command.note(Progress::Failed, Some(error.to_string()), utc()),
+            Err(error @ NotDone::Replaced(_)) => {
+                return command.note(progress, Some(format!("{closed}; {error}")), utc());
+            }
+            // It adds nothing to what was noted.
+            Err(NotDone::NotAccepted(_)) => return,
+        };
     }
 }
 

@@ -6,8 +6,8 @@ use std::process::Stdio;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use bus::{Bus, Clock};
-use contract::device::dome::{Command as DomeCommand, Shutter};
+use bus::{Bus, Catch, Clock};
+use contract::device::dome::{Command as DomeCommand, Guard, Shutter};
 use contract::observatory::NightState;
 use contract::{Address, Key, Kind, Part};
 use serde_json::json;
@@ -49,10 +49,17 @@ impl Alone {
         tokio::task::spawn_blocking(move || starmesh(all)).await.unwrap()
     }
 
-    /// Orders to close, and waits 1 s for it, and so long beyond that.
-    fn close_late(&self, runtime: &Path, beyond_s: &str) -> Child {
+    async fn until_the_guard_reports_it_open(&self) {
+        let dome = europa().device(Kind::Dome, &"dome_1".parse().unwrap());
+        let guards = self.bus.subscribe::<Guard>(&Key::Guard(dome), Catch::Newest, 16).await.unwrap();
+        let opens = async { while guards.recv().await.sample.body.verified_closed != Some(false) {} };
+        tokio::time::timeout(LIMIT, opens).await.unwrap();
+    }
+
+    /// Orders to close, and waits so long for it, and so long beyond that.
+    fn close(&self, runtime: &Path, wait_s: &str, beyond_s: &str) -> Child {
         tokio::process::Command::new(env!("CARGO_BIN_EXE_starmesh"))
-            .args(["order", "paranal/europa", "close", "--wait", "1", "--give-on", beyond_s])
+            .args(["order", "paranal/europa", "close", "--wait", wait_s, "--give-on", beyond_s])
             .args(["--no-multicast", "--connect", &self.connect])
             .env("XDG_RUNTIME_DIR", runtime)
             .stdout(Stdio::piped())
@@ -204,7 +211,7 @@ async fn a_close_order_that_the_dome_carries_out_late_is_told_given_on_and_follo
     let alone = Alone::start().await;
     alone.dome.sticks.store(true, Ordering::Relaxed);
     let runtime = tempfile::tempdir().unwrap();
-    let mut order = alone.close_late(runtime.path(), "240");
+    let mut order = alone.close(runtime.path(), "1", "240");
     let mut lines = BufReader::new(order.stdout.take().unwrap()).lines();
     let late = printed_until(&mut lines, "NOT verified closed within 1 s: paranal/europa/dome/dome_1").await;
     let words = late.last().map_or("", String::as_str);
@@ -221,11 +228,38 @@ async fn a_close_order_that_the_dome_carries_out_late_is_told_given_on_and_follo
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_close_order_is_followed_again_when_the_observatory_node_is_back_and_had_begun_to_open() {
+    for (wait_s, closes) in [("300", true), ("1", false)] {
+        let alone = Alone::start().await;
+        let runtime = tempfile::tempdir().unwrap();
+        let mut order = alone.close(runtime.path(), wait_s, "240");
+        let mut lines = BufReader::new(order.stdout.take().unwrap()).lines();
+        let closed = printed_until(&mut lines, "It is asked for 240 s more").await;
+        assert!(!closed.is_empty(), "the guard did not close it");
+
+        alone.dome.shutter.send_replace(Shutter::Opening);
+        alone.until_the_guard_reports_it_open().await;
+        let _europa = Telescope::command(alone.bus.clone(), europa()).await;
+        let taken = printed_until(&mut lines, "the observatory node of paranal/europa answers now: accepted").await;
+        assert!(!taken.is_empty(), "the order was forgotten");
+        if closes {
+            alone.dome.shutter.send_replace(Shutter::Closed);
+            assert_eq!(printed_until(&mut lines, "verified closed").await, ["verified closed"]);
+        }
+        let ended = tokio::time::timeout(LIMIT, order.wait_with_output()).await.unwrap().unwrap();
+        let words = String::from_utf8_lossy(&ended.stderr);
+        assert_eq!(ended.status.success(), closes, "{words}");
+        assert_eq!(words.contains("NOT verified closed within 1 s: paranal/europa is "), !closes, "{words}");
+        alone.bus.close().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_close_order_whose_dome_falls_silent_after_it_was_late_ends_with_the_name_of_that_dome() {
     let alone = Alone::start().await;
     alone.dome.sticks.store(true, Ordering::Relaxed);
     let runtime = tempfile::tempdir().unwrap();
-    let mut order = alone.close_late(runtime.path(), "1");
+    let mut order = alone.close(runtime.path(), "1", "1");
     let mut lines = BufReader::new(order.stdout.take().unwrap()).lines();
     let late = printed_until(&mut lines, "This order is followed and asked for 1 s more").await;
     assert!(!late.is_empty(), "it was not told that the dome is late");

@@ -112,7 +112,7 @@ impl Payload for NightState {
 /// An action under way.
 #[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct ActionNow {
-    /// Row of the schedule.
+    /// Row of the schedule, from 0; people count from 1.
     pub row: u32,
     /// Type, such as `object`.
     pub action: String,
