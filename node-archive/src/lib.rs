@@ -156,11 +156,14 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     tasks.spawn(focus::keep(node.clone(), database.clone(), plots));
     tasks.spawn(corrections::keep(node.clone(), database.clone()));
     tasks.spawn(care::keep(node.clone(), database.clone()));
-    // The disk of images may be away, which keeps nothing else waiting.
-    let claimed = tokio::select! {
-        ended = tasks.join_next() => first_to_end(ended).map(|()| None),
-        claimed = claim_images(&node, database.path()) => claimed,
+    // The disk of images may be away, or hang at the first look, which keeps nothing else waiting, and no stop.
+    let claim = async {
+        tokio::select! {
+            ended = tasks.join_next() => first_to_end(ended).map(|()| None),
+            claimed = claim_images(&node, database.path()) => claimed,
+        }
     };
+    let claimed = stop.or(claim).await.unwrap_or(Ok(None));
     let result = if let Ok(Some(_)) = &claimed {
         let (on_disk, found) = rebuild::OnDisk::new(node.bus.clock().utc());
         tasks.spawn(rebuild::keep(node.clone(), database.clone(), incomplete.clone(), found));

@@ -36,6 +36,7 @@ mod up;
 mod user;
 
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use contract::Role;
@@ -164,5 +165,9 @@ fn node(role: NodeRole, options: node::NodeOptions) -> ExitCode {
 }
 
 fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
-    tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(work)
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let done = runtime.block_on(work);
+    // What had to be on disk was waited for; what still waits for a disk that hangs keeps no process alive.
+    runtime.shutdown_timeout(Duration::from_secs(5));
+    done
 }
