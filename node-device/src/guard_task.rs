@@ -13,7 +13,10 @@ use contract::device::telescope;
 use contract::observatory::{AlertKind, Permit};
 use contract::{Address, CommandId, Device, DeviceState, Key, Kind, Topic};
 use interlock::guard::Alarm;
-use interlock::{Answer, Guard, GuardEffect, GuardEvent, GuardLoop, MountsUnder, Request, ShutterReading, Watchdog};
+use interlock::{
+    Answer, Guard, GuardEffect, GuardEvent, GuardLoop, MountsUnder, ParkReading, Place, Request, ShutterReading,
+    Watchdog,
+};
 use node::Node;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -240,11 +243,15 @@ async fn next_mount_state(mounts: Option<&Mounts>) -> GuardEvent {
     let Some(mounts) = mounts else { return std::future::pending().await };
     let received = mounts.recv().await;
     let Key::State(device) = received.key else { return GuardEvent::Tick };
-    let is_parked = received.sample.body.fields.parked() == Some(true);
+    let state = &received.sample.body;
     // A state that repeats an old reading is as old as that.
-    let age_s = received.sample.body.age_s("AtPark").unwrap_or(0.0);
-    let read = received.arrived.minus(Duration::try_from_secs_f64(age_s).unwrap_or(Duration::MAX));
-    GuardEvent::Mount { device, boot_id: received.sample.boot_id, is_parked, read }
+    let read = |property: &str| {
+        let age_s = state.age_s(property).unwrap_or(0.0);
+        received.arrived.minus(Duration::try_from_secs_f64(age_s).unwrap_or(Duration::MAX))
+    };
+    let says_parked = state.fields.parked() == Some(true);
+    let reading = ParkReading { says_parked, place: Place::of(&state.fields, read) };
+    GuardEvent::Mount { device, boot_id: received.sample.boot_id.clone(), reading, read: read("AtPark") }
 }
 
 async fn read(alpaca: Alpaca, asked: MachineTime) -> Hand {

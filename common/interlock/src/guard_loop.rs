@@ -10,6 +10,7 @@ use units::MachineTime;
 
 use crate::guard::{Alarm, FRESH, Guard, GuardStep};
 use crate::mounts_under::MountsUnder;
+use crate::parked::ParkReading;
 use crate::permit_ledger::{Dropped, Taken};
 use crate::report::{DomeReport, nanos};
 use crate::request::{Answer, Request};
@@ -43,9 +44,9 @@ pub enum GuardEvent {
         device: Device,
         /// The incarnation that published it.
         boot_id: BootId,
-        /// Whether it is parked.
-        is_parked: bool,
-        /// When that was read.
+        /// What was read of its park.
+        reading: ParkReading,
+        /// When its flags were read.
         read: MachineTime,
     },
     /// The shutter's reading that this loop had asked for has come, or none.
@@ -195,9 +196,9 @@ impl GuardLoop {
                 }
                 effects.extend(taken.err().map(|why| GuardEffect::Drop(telescope, why)));
             }
-            GuardEvent::Mount { device, boot_id, is_parked, read } => {
+            GuardEvent::Mount { device, boot_id, reading, read } => {
                 if let Some(mounts) = &mut self.mounts {
-                    mounts.observe(device, boot_id, is_parked, read);
+                    mounts.observe(device, boot_id, reading, read);
                 }
             }
             GuardEvent::Looked(read) => {

@@ -122,10 +122,10 @@ fn a_shutter_that_waits_is_closed_when_its_mount_is_known_to_be_parked() {
     let mount = Address::new("site", "alpha").unwrap().device(contract::Kind::Telescope, &"m".parse().unwrap());
     let under = MountsUnder::new(vec![telescope("alpha")], Some(vec![mount.clone()]));
     let mut state = GuardLoop::new(Some(under), Watchdog::new(None));
-    let parked = |is_parked, second| GuardEvent::Mount {
+    let parked = |says_parked, second| GuardEvent::Mount {
         device: mount.clone(),
         boot_id: boot("mount"),
-        is_parked,
+        reading: ParkReading { says_parked, place: None },
         read: at(second),
     };
     state.read((Shutter::Open, at(11.0)));

@@ -6,7 +6,7 @@
 //!
 //! - The dome: [`Guard`] decides when it must close, by the permits that [`PermitLedger`] counts and by what
 //!   [`ShutterEvidence`] concludes of its shutter; [`GuardLoop`] which requests are sent and when. [`MountsUnder`] knows
-//!   which mounts are parked, [`MountWatch`] when a mount must stop or park.
+//!   which mounts are parked, by what [`Parked`] concludes of each, [`MountWatch`] when a mount must stop or park.
 //! - Commands: [`Authorization`] decides whether a command passes, by [`Need`] and [`Hinders`], its token ([`fence()`])
 //!   and the [`Leases`] of the site: [`KnownTokens`] counts tokens, [`Holding`] knows who holds a lease, and
 //!   [`SitePermits`] what all guards and commanders publish.
@@ -33,6 +33,7 @@
 //! - [`watch::Watch`]: deadlines of domes and of the next start; since when the node runs (60 s).
 //! - [`MountWatch`]: since when no permit counts (300 s), the last command (300 s).
 //! - [`MountsUnder`]: the newest sample of each incarnation (10 s, 600 s).
+//! - [`Parked`]: the newest place (2 s, 60 s), and when coordinates were told (20 s).
 //! - [`Leases`]: the holder (5 s), guards and permits (10 s).
 //! - [`LeaseHolder`]: since when the arbiter is silent (30 s) or publishes an older lease (5 s).
 //! - [`Succession`]: first and last sample of each incarnation (0.5 s, 2 s, 16 s).
@@ -90,6 +91,7 @@ mod mount_watch;
 mod mounts_under;
 mod need;
 mod other_telescopes;
+mod parked;
 mod permit_ledger;
 mod process_end;
 mod report;
@@ -123,6 +125,7 @@ pub use mount_watch::{Calls, MountWatch};
 pub use mounts_under::MountsUnder;
 pub use need::Need;
 pub use other_telescopes::OtherTelescopes;
+pub use parked::{ParkReading, Parked, Place};
 pub use permit_ledger::{Dropped, PermitLedger, Taken};
 pub use process_end::{AtEnd, ProcessEnd};
 pub use report::{DomeReport, Report, nanos};

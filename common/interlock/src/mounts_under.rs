@@ -11,6 +11,7 @@ use contract::{Address, BootId, Chunk, Device};
 use units::MachineTime;
 
 use crate::incarnations::Incarnations;
+use crate::parked::{ParkReading, Parked};
 
 /// A mount that was silent for so long is not known to be parked.
 const FRESH: Duration = Duration::from_secs(10);
@@ -23,7 +24,7 @@ pub struct MountsUnder {
     telescopes: Vec<Chunk>,
     /// The mounts of the configuration, where it names them all; those of other telescopes are known by their states.
     known: Option<Vec<Device>>,
-    received: BTreeMap<Device, Incarnations<bool>>,
+    received: BTreeMap<Device, Incarnations<Parked>>,
 }
 
 impl MountsUnder {
@@ -32,8 +33,8 @@ impl MountsUnder {
         Self { telescopes, known, received: BTreeMap::new() }
     }
 
-    /// A mount's state was received.
-    pub fn observe(&mut self, device: Device, boot_id: BootId, is_parked: bool, arrived: MachineTime) {
+    /// A mount's state was received, whose flags were read at `read`.
+    pub fn observe(&mut self, device: Device, boot_id: BootId, reading: ParkReading, read: MachineTime) {
         let is_ours = match &self.known {
             Some(known) => known.contains(&device),
             None => self.telescopes.contains(&device.address.telescope),
@@ -41,14 +42,16 @@ impl MountsUnder {
         if !is_ours {
             return;
         }
-        self.received.entry(device).or_insert_with(|| Incarnations::new(FRESH)).observe(&boot_id, is_parked, arrived);
+        let incarnations = self.received.entry(device).or_insert_with(|| Incarnations::new(FRESH));
+        let before = incarnations.get(&boot_id).map(|(parked, _)| *parked).unwrap_or_default();
+        incarnations.observe(&boot_id, before.after(reading, read), read);
     }
 
     /// Is every mount known to be parked?
     pub fn all_parked(&self, now: MachineTime) -> bool {
-        let parked = |incarnations: &Incarnations<bool>| {
+        let parked = |incarnations: &Incarnations<Parked>| {
             let mut fresh = incarnations.within(FRESH, now).peekable();
-            let all = fresh.peek().is_some() && fresh.all(|(_, is_parked)| *is_parked);
+            let all = fresh.peek().is_some() && fresh.all(|(_, parked)| parked.is_parked());
             // The one that found no room may be the mount itself.
             all && !incarnations.had_no_room_within(FRESH, now)
         };
@@ -58,7 +61,7 @@ impl MountsUnder {
         self.telescopes.iter().all(|telescope| {
             let of_it = |address: &Address| address.telescope == *telescope;
             let mut there = self.received.iter().filter(|(device, _)| of_it(&device.address)).peekable();
-            let is_there = |incarnations: &Incarnations<bool>| incarnations.within(GONE, now).next().is_some();
+            let is_there = |incarnations: &Incarnations<Parked>| incarnations.within(GONE, now).next().is_some();
             // Until its state is received, a telescope counts as one mount that is not parked.
             let mut some = false;
             let all = there.all(|(_, incarnations)| {
@@ -72,7 +75,11 @@ impl MountsUnder {
 
 #[cfg(test)]
 mod tests {
+    use contract::Datum;
+    use contract::device::telescope::Fields;
+
     use super::*;
+    use crate::parked::Place;
 
     fn at(seconds: u64) -> MachineTime {
         MachineTime::from_boot(Duration::from_secs(1000 + seconds))
@@ -80,6 +87,11 @@ mod tests {
 
     fn mount(telescope: &str, name: &str) -> Device {
         Address::new("site", telescope).unwrap().device(contract::Kind::Telescope, &name.parse().unwrap())
+    }
+
+    /// A mount that tells no coordinates.
+    fn says(says_parked: bool) -> ParkReading {
+        ParkReading { says_parked, place: None }
     }
 
     fn shared() -> MountsUnder {
@@ -90,13 +102,13 @@ mod tests {
     fn a_roof_over_two_telescopes_needs_both_mounts_parked_and_their_states_fresh() {
         let (boot_id, mut mounts) = (BootId::fresh(), shared());
         assert!(!mounts.all_parked(at(0)), "nothing was received");
-        mounts.observe(mount("alpha", "m"), boot_id.clone(), true, at(0));
+        mounts.observe(mount("alpha", "m"), boot_id.clone(), says(true), at(0));
         assert!(!mounts.all_parked(at(0)), "the other one was silent");
-        mounts.observe(mount("beta", "m"), boot_id.clone(), true, at(1));
+        mounts.observe(mount("beta", "m"), boot_id.clone(), says(true), at(1));
         assert!(mounts.all_parked(at(1)));
         assert!(!mounts.all_parked(at(11)), "the first has been silent for 11 s");
-        mounts.observe(mount("alpha", "m"), boot_id.clone(), true, at(11));
-        mounts.observe(mount("gamma", "m"), boot_id, false, at(11));
+        mounts.observe(mount("alpha", "m"), boot_id.clone(), says(true), at(11));
+        mounts.observe(mount("gamma", "m"), boot_id, says(false), at(11));
         assert!(mounts.all_parked(at(11)), "a mount under another roof is none of its business");
     }
 
@@ -104,14 +116,14 @@ mod tests {
     fn of_two_that_speak_for_one_mount_the_one_that_is_not_parked_counts_until_it_is_silent() {
         let (real, stranger, mut mounts) = (BootId::fresh(), BootId::fresh(), shared());
         for second in 0..3 {
-            mounts.observe(mount("alpha", "m"), real.clone(), false, at(second));
-            mounts.observe(mount("alpha", "m"), stranger.clone(), true, at(second));
-            mounts.observe(mount("beta", "m"), real.clone(), true, at(second));
+            mounts.observe(mount("alpha", "m"), real.clone(), says(false), at(second));
+            mounts.observe(mount("alpha", "m"), stranger.clone(), says(true), at(second));
+            mounts.observe(mount("beta", "m"), real.clone(), says(true), at(second));
             assert!(!mounts.all_parked(at(second)));
         }
         for second in 3..14 {
-            mounts.observe(mount("alpha", "m"), stranger.clone(), true, at(second));
-            mounts.observe(mount("beta", "m"), real.clone(), true, at(second));
+            mounts.observe(mount("alpha", "m"), stranger.clone(), says(true), at(second));
+            mounts.observe(mount("beta", "m"), real.clone(), says(true), at(second));
         }
         assert!(mounts.all_parked(at(13)), "a node that was restarted publishes as another incarnation");
     }
@@ -120,8 +132,8 @@ mod tests {
     fn a_mount_that_nobody_configured_holds_up_no_roof_of_one_telescope_and_none_for_good() {
         let (boot_id, own) = (BootId::fresh(), mount("alpha", "m"));
         let mut mounts = MountsUnder::new(vec!["alpha".parse().unwrap()], Some(vec![own.clone()]));
-        mounts.observe(mount("alpha", "ghost"), BootId::fresh(), false, at(0));
-        mounts.observe(own, boot_id.clone(), true, at(0));
+        mounts.observe(mount("alpha", "ghost"), BootId::fresh(), says(false), at(0));
+        mounts.observe(own, boot_id.clone(), says(true), at(0));
         assert!(mounts.all_parked(at(0)));
         assert!(
             MountsUnder::new(vec!["alpha".parse().unwrap()], Some(Vec::new())).all_parked(at(0)),
@@ -129,11 +141,32 @@ mod tests {
         );
 
         let mut mounts = shared();
-        mounts.observe(mount("beta", "ghost"), BootId::fresh(), false, at(0));
+        mounts.observe(mount("beta", "ghost"), BootId::fresh(), says(false), at(0));
         for second in [0, 599, 601] {
-            mounts.observe(mount("alpha", "m"), boot_id.clone(), true, at(second));
-            mounts.observe(mount("beta", "m"), boot_id.clone(), true, at(second));
+            mounts.observe(mount("alpha", "m"), boot_id.clone(), says(true), at(second));
+            mounts.observe(mount("beta", "m"), boot_id.clone(), says(true), at(second));
             assert_eq!(mounts.all_parked(at(second)), second == 601, "after {second} s of the ghost's silence");
+        }
+    }
+
+    #[test]
+    fn a_mount_that_says_that_it_is_parked_and_moves_is_not_and_each_incarnation_rests_for_itself() {
+        let (real, stranger, own) = (BootId::fresh(), BootId::fresh(), mount("alpha", "m"));
+        let mut mounts = MountsUnder::new(vec!["alpha".parse().unwrap()], Some(vec![own.clone()]));
+        let reading = |altitude_deg: f64, second| {
+            let (altitude_deg, azimuth_deg) = (Datum::Known(altitude_deg), Datum::Known(180.0));
+            let fields = Fields { altitude_deg, azimuth_deg, ..Fields::default() };
+            ParkReading { says_parked: true, place: Place::of(&fields, |_| at(second)) }
+        };
+        for second in 0..40 {
+            mounts.observe(own.clone(), real.clone(), reading(60.0 - second as f64, second), at(second));
+            mounts.observe(own.clone(), stranger.clone(), reading(20.0, second), at(second));
+            assert!(!mounts.all_parked(at(second)), "{second} s");
+        }
+        for second in 40..43 {
+            mounts.observe(own.clone(), real.clone(), reading(20.0, second), at(second));
+            mounts.observe(own.clone(), stranger.clone(), reading(20.0, second), at(second));
+            assert_eq!(mounts.all_parked(at(second)), second == 42, "{second} s");
         }
     }
 }

@@ -2,6 +2,7 @@
 //! decides.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use alpaca::{Alpaca, AlpacaError, http_client, value};
 use bus::MachineTime;
@@ -12,19 +13,22 @@ use contract::{BootId, Chunk, Datum, Kind};
 use futures_util::future::{join, join_all};
 use interlock::guard::{Alarm, Settings};
 use interlock::watch::Who;
-use interlock::{CloserEffect, CloserEvent, KnownMounts, Request};
+use interlock::{CloserEffect, CloserEvent, KnownMounts, ParkReading, Parked, Place, Request};
 use tokio::task::JoinSet;
 
 use super::copy::{DomeCopy, Target, seconds};
 use crate::close_request;
 use crate::shutter_status::shutter_status;
 
+/// The coordinates of a mount are waited for no longer: its flags must not become too old to count.
+const COORDINATES: Duration = Duration::from_secs(2);
+
 /// What the servers have answered.
 enum ServerAnswer {
     /// The shutter, and when it was asked for.
     Shutter(Result<Shutter, AlpacaError>, MachineTime),
-    /// Whether all mounts are parked, and when they were asked.
-    Parked(bool, MachineTime),
+    /// What was read of each mount, and when they were asked.
+    Parked(Vec<ParkReading>, MachineTime),
     /// A request to close.
     Closed(Request, Result<(), AlpacaError>),
 }
@@ -46,6 +50,8 @@ pub struct Closer {
     pub dome: DomeCopy,
     alpaca: Alpaca,
     mounts: Vec<(Alpaca, bool)>,
+    /// What is known of each of them.
+    parked: Vec<Parked>,
     state: interlock::Closer,
     answers: JoinSet<ServerAnswer>,
 }
@@ -82,6 +88,7 @@ impl Closer {
         Ok(Self {
             alpaca: device(&dome.target, Kind::Dome)?.at_once(),
             mounts: mounts.collect::<Result<_, AlpacaError>>()?,
+            parked: vec![Parked::default(); dome.mounts.len()],
             state: interlock::Closer::new(settings, known),
             dome: dome.clone(),
             answers: JoinSet::new(),
@@ -130,7 +137,13 @@ impl Closer {
                     }
                     CloserEvent::Looked(read.ok().map(|shutter| (shutter, asked)))
                 }
-                Ok(ServerAnswer::Parked(parked, asked)) => CloserEvent::Mounts(parked, asked),
+                Ok(ServerAnswer::Parked(readings, asked)) => {
+                    for (parked, reading) in self.parked.iter_mut().zip(readings) {
+                        let place = reading.place.map(|place| place.answered(now));
+                        *parked = parked.after(ParkReading { place, ..reading }, asked);
+                    }
+                    CloserEvent::Mounts(self.parked.iter().all(|parked| parked.is_parked()), asked)
+                }
                 Ok(ServerAnswer::Closed(request, result)) => {
                     let answer = close_request::answer_of(&result);
                     words.extend(result.err().map(|error| Word::Failed(request.name(), error.to_string())));
@@ -157,8 +170,8 @@ impl Closer {
                     let mounts = Arc::new(self.mounts.clone());
                     self.answers.spawn(async move {
                         // One that hangs delays no other's park, and no answer becomes old behind it.
-                        let each = mounts.iter().map(|(mount, connect)| parked(mount.at_once(), *connect, park));
-                        ServerAnswer::Parked(join_all(each).await.into_iter().all(|is_parked| is_parked), asked)
+                        let each = mounts.iter().map(|(mount, connect)| parked(mount.at_once(), *connect, park, asked));
+                        ServerAnswer::Parked(join_all(each).await, asked)
                     });
                 }
                 CloserEffect::Send(request) => {
@@ -188,16 +201,17 @@ async fn shutter(alpaca: &Alpaca, connect: bool) -> Result<Shutter, AlpacaError>
     shutter_status(&get(alpaca, connect, "shutterstatus").await?)
 }
 
-/// Whether a mount is parked; one that is not is asked to park where `orders` is true.
-async fn parked(mount: Alpaca, connect: bool, orders: bool) -> bool {
+/// What a mount, asked at `asked`, tells of its park; one that does not say that it is parked is asked to park where
+/// `orders` is true.
+async fn parked(mount: Alpaca, connect: bool, orders: bool, asked: MachineTime) -> ParkReading {
     let mut fields = Fields { at_park: flag(get(&mount, connect, "atpark").await), ..Fields::default() };
     if fields.parked() == Some(true) {
         // Both at once: the first answer must not become too old to count.
         let (slewing, tracking) = join(mount.get("slewing"), mount.get("tracking")).await;
         (fields.slewing, fields.tracking) = (flag(slewing), flag(tracking));
     }
-    let is_parked = fields.parked() == Some(true);
-    if orders && !is_parked {
+    let says_parked = fields.parked() == Some(true);
+    if orders && !says_parked {
         if fields.tracking.known() == Some(&true) {
             // It says that it is parked, and a second park may do nothing.
             let _ = mount.put("tracking", &[("Tracking", "False")]).await;
@@ -206,7 +220,25 @@ async fn parked(mount: Alpaca, connect: bool, orders: bool) -> bool {
             tracing::warn!(%error, "a mount was asked to park and refused");
         }
     }
-    is_parked
+    if says_parked {
+        // What has come by then counts.
+        let _ = tokio::time::timeout(COORDINATES, read_coordinates(&mount, &mut fields)).await;
+    }
+    ParkReading { says_parked, place: Place::of(&fields, |_| asked) }
+}
+
+/// Reads where a mount points: right ascension and declination only where it does not tell altitude and azimuth.
+async fn read_coordinates(mount: &Alpaca, fields: &mut Fields) {
+    let (altitude, azimuth) = join(mount.get("altitude"), mount.get("azimuth")).await;
+    (fields.altitude_deg, fields.azimuth_deg) = (number(altitude), number(azimuth));
+    if fields.altitude_deg.known().is_none() || fields.azimuth_deg.known().is_none() {
+        let (ra, dec) = join(mount.get("rightascension"), mount.get("declination")).await;
+        (fields.ra_deg, fields.dec_deg) = (number(ra).map(|hours| hours * 15.0), number(dec));
+    }
+}
+
+fn number(answer: Result<serde_json::Value, AlpacaError>) -> Datum<f64> {
+    answer.map_err(|error| error.no_data()).and_then(|answer| value::number(&answer)).into()
 }
 
 fn flag(answer: Result<serde_json::Value, AlpacaError>) -> Datum<bool> {
