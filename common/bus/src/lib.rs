@@ -24,6 +24,7 @@ mod history;
 mod links;
 mod listening;
 mod machine;
+mod meetings;
 mod numbers;
 mod publish;
 mod queue;

@@ -12,9 +12,11 @@ use std::time::Duration;
 
 use contract::{NodeTopic, Topic};
 use tokio::sync::mpsc;
+use tokio::task::JoinSet;
 use zenoh::sample::SampleKind;
 use zenoh::session::{Link, ZenohId};
 
+use crate::meetings::{Dialled, introduce};
 use crate::sockets::{self, ends};
 use crate::{Bus, BusError, MachineTime, machine};
 
@@ -71,12 +73,18 @@ impl Bus {
         });
         let _links = links.await.map_err(failed("a listener", "links"))?;
         let (mut silence, mut lost) = (Silence::default(), LostLinks::default());
+        let (mut dialled, mut meeting) = (Dialled::default(), JoinSet::<Vec<ZenohId>>::new());
         let mut looks = tokio::time::interval(LOOK);
         loop {
             tokio::select! {
                 Some(event) = receiver.recv() => match event {
                     Event::State(peer) => silence.observe(peer, machine::now()),
                     Event::Added(link) => {
+                        if let Some((here, there)) = ends(&link)
+                            && !self.is_own_port(here.port()).await
+                        {
+                            dialled.insert(*link.zid(), there, machine::now());
+                        }
                         if lost.added(*link.zid()) {
                             self.begin_anew(*link.zid(), "a link of a node was lost, and another one came").await;
                         } else {
@@ -91,9 +99,27 @@ impl Bus {
                     for peer in silence.look(&connected, machine::now()) {
                         self.begin_anew(peer, "a node is connected and nothing of it arrives").await;
                     }
+                    let own = self.locators().await.into_iter().find(|locator| locator.starts_with("tcp/"));
+                    if let Some(own) = own.filter(|_| meeting.is_empty()) {
+                        let missed = dialled.look(&connected, machine::now());
+                        if !missed.is_empty() {
+                            meeting.spawn(introduce(own, missed));
+                        }
+                    }
+                }
+                Some(done) = meeting.join_next() => {
+                    for peer in done.unwrap_or_default() {
+                        dialled.forget(&peer);
+                    }
                 }
             }
         }
+    }
+
+    /// Does this node listen on that port? A link from there was dialled by the peer.
+    async fn is_own_port(&self, port: u16) -> bool {
+        let end = format!(":{port}");
+        self.locators().await.iter().any(|locator| locator.ends_with(&end))
     }
 
     /// Cuts all links to a peer.
@@ -258,6 +284,38 @@ mod tests {
     async fn open(connect: Vec<String>) -> Bus {
         let config = config::Bus { listen: Vec::new(), connect, multicast: false };
         Bus::open(&config, Clock::machine_clock()).await.unwrap()
+    }
+
+    /// Gossip named each to the other once; after a short loss of the network they did not meet, for good.
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn peers_that_met_through_a_third_one_and_lost_each_other_meet_again() {
+        let third = open(Vec::new()).await;
+        let (one, other) = (open(third.locators().await).await, open(third.locators().await).await);
+        let mut tasks = JoinSet::new();
+        for mended in [one.clone(), other.clone()] {
+            let mut mending = Box::pin(async move { mended.keep_mending().await });
+            // The first look at it declares what it listens to: from here on it misses no link.
+            tokio::select! {
+                biased;
+                ended = &mut mending => panic!("{ended:?}"),
+                () = std::future::ready(()) => {}
+            }
+            tasks.spawn(mending);
+        }
+        let (sender, mut receiver) = mpsc::unbounded_channel();
+        let who = other.session.zid();
+        let info = one.session.info();
+        let events = info.transport_events_listener().history(true).callback(move |event| {
+            if *event.transport().zid() == who {
+                sender.send(event.kind()).unwrap_or_default();
+            }
+        });
+        let _events = events.await.unwrap();
+        let mut next = async || tokio::time::timeout(Duration::from_secs(60), receiver.recv()).await.unwrap().unwrap();
+        assert_eq!(next().await, SampleKind::Put, "they meet through the third one");
+        one.begin_anew(who, "a test cuts it").await;
+        while next().await != SampleKind::Delete {}
+        assert_eq!(next().await, SampleKind::Put, "and meet again");
     }
 
     /// A peer that published its state once and then hangs, or whose samples are lost in a transport that zenoh takes

@@ -141,6 +141,14 @@ impl Bus {
     }
 }
 
+/// Of a session that only introduces others to each other: nobody dials it, and it dials nobody of whom it hears.
+pub(crate) fn introducing(connect: Vec<String>) -> serde_json::Value {
+    let mut settings = settings(true, &config::Bus { listen: Vec::new(), connect, multicast: false });
+    settings["listen"]["endpoints"] = json!([]);
+    settings["scouting"]["gossip"]["autoconnect"] = json!({ "peer": [] });
+    settings
+}
+
 fn settings(introduces: bool, config: &config::Bus) -> serde_json::Value {
     // Whom it tells of the others. There is no router, so a list of routers is nobody.
     let told = if introduces { ["router", "peer"].as_slice() } else { &["router"] };
