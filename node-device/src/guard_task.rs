@@ -14,8 +14,7 @@ use contract::observatory::{AlertKind, Permit};
 use contract::{Address, CommandId, Device, DeviceState, Key, Kind, Topic};
 use interlock::guard::Alarm;
 use interlock::{
-    Answer, Guard, GuardEffect, GuardEvent, GuardLoop, MountsUnder, ParkReading, Place, Request, ShutterReading,
-    Watchdog,
+    Answer, Guard, GuardEffect, GuardEvent, GuardLoop, MountsUnder, ParkReading, Request, ShutterReading, Watchdog,
 };
 use node::Node;
 use tokio::sync::watch;
@@ -249,8 +248,7 @@ async fn next_mount_state(mounts: Option<&Mounts>) -> GuardEvent {
         let age_s = state.age_s(property).unwrap_or(0.0);
         received.arrived.minus(Duration::try_from_secs_f64(age_s).unwrap_or(Duration::MAX))
     };
-    let says_parked = state.fields.parked() == Some(true);
-    let reading = ParkReading { says_parked, place: Place::of(&state.fields, read) };
+    let reading = ParkReading::of(&state.fields, read);
     GuardEvent::Mount { device, boot_id: received.sample.boot_id.clone(), reading, read: read("AtPark") }
 }
 

@@ -16,7 +16,7 @@ use tokio::task::JoinSet;
 use zenoh::sample::SampleKind;
 use zenoh::session::{Link, ZenohId};
 
-use crate::meetings::{Dialled, introduce};
+use crate::meetings::{Dialled, Found, introduce};
 use crate::sockets::{self, ends};
 use crate::{Bus, BusError, MachineTime, machine};
 
@@ -33,7 +33,8 @@ const WAITING: usize = 1024;
 
 /// What zenoh reports of a peer.
 enum Event {
-    State(ZenohId),
+    /// Of the node with this key.
+    State(ZenohId, String),
     Added(Link),
     Removed(ZenohId),
     Closed(ZenohId),
@@ -52,7 +53,7 @@ impl Bus {
         let into = sender.clone();
         let subscriber = session.declare_subscriber(&states).callback(move |sample| {
             if let Some(source) = sample.source_info() {
-                let _ = into.try_send(Event::State(source.source_id().zid()));
+                let _ = into.try_send(Event::State(source.source_id().zid(), sample.key_expr().to_string()));
             }
         });
         let _subscriber = subscriber.await.map_err(failed("a subscriber", &states))?;
@@ -73,12 +74,15 @@ impl Bus {
         });
         let _links = links.await.map_err(failed("a listener", "links"))?;
         let (mut silence, mut lost) = (Silence::default(), LostLinks::default());
-        let (mut dialled, mut meeting) = (Dialled::default(), JoinSet::<Vec<ZenohId>>::new());
+        let (mut dialled, mut meeting) = (Dialled::default(), JoinSet::<Vec<(ZenohId, Found)>>::new());
         let mut looks = tokio::time::interval(LOOK);
         loop {
             tokio::select! {
                 Some(event) = receiver.recv() => match event {
-                    Event::State(peer) => silence.observe(peer, machine::now()),
+                    Event::State(peer, key) => {
+                        silence.observe(peer, machine::now());
+                        dialled.is_node(peer, &key);
+                    }
                     Event::Added(link) => {
                         if let Some((here, there)) = ends(&link)
                             && !self.is_own_port(here.port()).await
@@ -108,8 +112,8 @@ impl Bus {
                     }
                 }
                 Some(done) = meeting.join_next() => {
-                    for peer in done.unwrap_or_default() {
-                        dialled.forget(&peer);
+                    for (peer, found) in done.unwrap_or_default() {
+                        dialled.found(&peer, found);
                     }
                 }
             }
@@ -135,7 +139,7 @@ impl Bus {
 }
 
 /// A host that is off must not stop what others send.
-async fn close_in_background(link: &Link) {
+pub(crate) async fn close_in_background(link: &Link) {
     static REFUSED: std::sync::Once = std::sync::Once::new();
     let Some(ends) = ends(link).filter(|_| cfg!(target_os = "linux")) else { return };
     if let Err(error) = sockets::close_in_background(vec![ends]).await {

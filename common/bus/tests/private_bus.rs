@@ -172,7 +172,7 @@ async fn a_command_is_accepted_or_refused_at_once() {
     let answer = |command: Result<Command<dome::Command>, String>| async move {
         match command {
             Ok(command) if command.action == dome::Command::CloseShutter => {
-                Reply::Accepted(Accepted { id: command.id, token: None })
+                Reply::Accepted(Accepted { id: command.id, token: None, not_written: None })
             }
             Ok(command) => {
                 Reply::Refusal(Refusal { id: command.id, reason: Reason::NoPermit, detail: "no permit".to_owned() })

@@ -67,7 +67,7 @@ impl Observatory {
                 let id = order.as_ref().map_or_else(|_| CommandId(String::new()), |order| order.id.clone());
                 count.lock().unwrap().push(id);
                 match order {
-                    Ok(order) => Reply::Accepted(Accepted { id: order.id, token: None }),
+                    Ok(order) => Reply::Accepted(Accepted { id: order.id, token: None, not_written: None }),
                     Err(detail) => {
                         let id = CommandId(String::new());
                         Reply::Refusal(Refusal { id, reason: Reason::Malformed, detail })

@@ -125,7 +125,7 @@ fn a_shutter_that_waits_is_closed_when_its_mount_is_known_to_be_parked() {
     let parked = |says_parked, second| GuardEvent::Mount {
         device: mount.clone(),
         boot_id: boot("mount"),
-        reading: ParkReading { says_parked, place: None },
+        reading: ParkReading { says_parked: Some(says_parked), place: None, has_none: true },
         read: at(second),
     };
     state.read((Shutter::Open, at(11.0)));

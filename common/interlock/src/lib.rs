@@ -33,7 +33,7 @@
 //! - [`watch::Watch`]: deadlines of domes and of the next start; since when the node runs (60 s).
 //! - [`MountWatch`]: since when no permit counts (300 s), the last command (300 s).
 //! - [`MountsUnder`]: the newest sample of each incarnation (10 s, 600 s).
-//! - [`Parked`]: the newest place (2 s, 60 s), and when coordinates were told (20 s).
+//! - [`Parked`]: the newest place (10 s, 60 s), the last question (60 s), and when coordinates were told (60 s).
 //! - [`Leases`]: the holder (5 s), guards and permits (10 s).
 //! - [`LeaseHolder`]: since when the arbiter is silent (30 s) or publishes an older lease (5 s).
 //! - [`Succession`]: first and last sample of each incarnation (0.5 s, 2 s, 16 s).
@@ -125,7 +125,7 @@ pub use mount_watch::{Calls, MountWatch};
 pub use mounts_under::MountsUnder;
 pub use need::Need;
 pub use other_telescopes::OtherTelescopes;
-pub use parked::{ParkReading, Parked, Place};
+pub use parked::{ParkReading, Parked};
 pub use permit_ledger::{Dropped, PermitLedger, Taken};
 pub use process_end::{AtEnd, ProcessEnd};
 pub use report::{DomeReport, Report, nanos};

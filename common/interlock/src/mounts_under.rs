@@ -79,7 +79,6 @@ mod tests {
     use contract::device::telescope::Fields;
 
     use super::*;
-    use crate::parked::Place;
 
     fn at(seconds: u64) -> MachineTime {
         MachineTime::from_boot(Duration::from_secs(1000 + seconds))
@@ -89,9 +88,9 @@ mod tests {
         Address::new("site", telescope).unwrap().device(contract::Kind::Telescope, &name.parse().unwrap())
     }
 
-    /// A mount that tells no coordinates.
+    /// A mount that has no coordinates.
     fn says(says_parked: bool) -> ParkReading {
-        ParkReading { says_parked, place: None }
+        ParkReading { says_parked: Some(says_parked), place: None, has_none: true }
     }
 
     fn shared() -> MountsUnder {
@@ -156,7 +155,7 @@ mod tests {
         let reading = |altitude_deg: f64, second| {
             let (altitude_deg, azimuth_deg) = (Datum::Known(altitude_deg), Datum::Known(180.0));
             let fields = Fields { altitude_deg, azimuth_deg, ..Fields::default() };
-            ParkReading { says_parked: true, place: Place::of(&fields, |_| at(second)) }
+            ParkReading { says_parked: Some(true), ..ParkReading::of(&fields, |_| at(second)) }
         };
         for second in 0..40 {
             mounts.observe(own.clone(), real.clone(), reading(60.0 - second as f64, second), at(second));

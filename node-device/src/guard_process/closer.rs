@@ -13,7 +13,7 @@ use contract::{BootId, Chunk, Datum, Kind};
 use futures_util::future::{join, join_all};
 use interlock::guard::{Alarm, Settings};
 use interlock::watch::Who;
-use interlock::{CloserEffect, CloserEvent, KnownMounts, ParkReading, Parked, Place, Request};
+use interlock::{CloserEffect, CloserEvent, KnownMounts, ParkReading, Parked, Request};
 use tokio::task::JoinSet;
 
 use super::copy::{DomeCopy, Target, seconds};
@@ -206,12 +206,19 @@ async fn shutter(alpaca: &Alpaca, connect: bool) -> Result<Shutter, AlpacaError>
 async fn parked(mount: Alpaca, connect: bool, orders: bool, asked: MachineTime) -> ParkReading {
     let mut fields = Fields { at_park: flag(get(&mount, connect, "atpark").await), ..Fields::default() };
     if fields.parked() == Some(true) {
-        // Both at once: the first answer must not become too old to count.
-        let (slewing, tracking) = join(mount.get("slewing"), mount.get("tracking")).await;
-        (fields.slewing, fields.tracking) = (flag(slewing), flag(tracking));
+        // All at once, and what has come by then counts: the first answer must not become too old to count.
+        let flags = join(mount.get("slewing"), mount.get("tracking"));
+        let coordinates = tokio::time::timeout(COORDINATES, coordinates(&mount));
+        let ((slewing, tracking), read) = join(flags, coordinates).await;
+        fields = Fields {
+            slewing: flag(slewing),
+            tracking: flag(tracking),
+            at_park: fields.at_park,
+            ..read.unwrap_or_default()
+        };
     }
-    let says_parked = fields.parked() == Some(true);
-    if orders && !says_parked {
+    let reading = ParkReading::of(&fields, |_| asked);
+    if orders && reading.says_parked != Some(true) {
         if fields.tracking.known() == Some(&true) {
             // It says that it is parked, and a second park may do nothing.
             let _ = mount.put("tracking", &[("Tracking", "False")]).await;
@@ -220,21 +227,18 @@ async fn parked(mount: Alpaca, connect: bool, orders: bool, asked: MachineTime) 
             tracing::warn!(%error, "a mount was asked to park and refused");
         }
     }
-    if says_parked {
-        // What has come by then counts.
-        let _ = tokio::time::timeout(COORDINATES, read_coordinates(&mount, &mut fields)).await;
-    }
-    ParkReading { says_parked, place: Place::of(&fields, |_| asked) }
+    reading
 }
 
-/// Reads where a mount points: right ascension and declination only where it does not tell altitude and azimuth.
-async fn read_coordinates(mount: &Alpaca, fields: &mut Fields) {
+/// Where a mount points: right ascension and declination only where it does not tell altitude and azimuth.
+async fn coordinates(mount: &Alpaca) -> Fields {
     let (altitude, azimuth) = join(mount.get("altitude"), mount.get("azimuth")).await;
-    (fields.altitude_deg, fields.azimuth_deg) = (number(altitude), number(azimuth));
-    if fields.altitude_deg.known().is_none() || fields.azimuth_deg.known().is_none() {
-        let (ra, dec) = join(mount.get("rightascension"), mount.get("declination")).await;
-        (fields.ra_deg, fields.dec_deg) = (number(ra).map(|hours| hours * 15.0), number(dec));
+    let fields = Fields { altitude_deg: number(altitude), azimuth_deg: number(azimuth), ..Fields::default() };
+    if fields.altitude_deg.known().is_some() && fields.azimuth_deg.known().is_some() {
+        return fields;
     }
+    let (ra, dec) = join(mount.get("rightascension"), mount.get("declination")).await;
+    Fields { ra_deg: number(ra).map(|hours| hours * 15.0), dec_deg: number(dec), ..fields }
 }
 
 fn number(answer: Result<serde_json::Value, AlpacaError>) -> Datum<f64> {
