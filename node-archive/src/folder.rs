@@ -22,7 +22,8 @@ const MOST_NAMES: u32 = 100;
 /// The right to write a telescope's files; it ends when this is dropped, or with the process.
 #[derive(Debug)]
 pub struct Claim {
-    _locks: Vec<File>,
+    /// `None` where the file system knows no locks.
+    _lock: Option<File>,
 }
 
 /// Takes the folder of images for this archive; `who` names it to others.
@@ -32,7 +33,7 @@ pub struct Claim {
 pub async fn claim(images: &Path, telescope: &Address, who: &str) -> anyhow::Result<Claim> {
     prepare(images, telescope).with_context(|| format!("cannot use the folder of images {}", images.display()))?;
     let file = images.join(PART_FOLDER).join(lock_name(telescope));
-    Ok(Claim { _locks: lock("the folder of images", images, &file, who).await?.into_iter().collect() })
+    lock("the folder of images", images, &file, who).await
 }
 
 /// Takes the database for this archive, whose images may be on a disk that is away.
@@ -42,7 +43,7 @@ pub async fn claim(images: &Path, telescope: &Address, who: &str) -> anyhow::Res
 pub async fn claim_database(database: &Path, telescope: &Address, who: &str) -> anyhow::Result<Claim> {
     let mut file = database.as_os_str().to_owned();
     file.push(format!(".{}", lock_name(telescope)));
-    Ok(Claim { _locks: lock("the database", database, Path::new(&file), who).await?.into_iter().collect() })
+    lock("the database", database, Path::new(&file), who).await
 }
 
 fn lock_name(telescope: &Address) -> String {
@@ -50,22 +51,21 @@ fn lock_name(telescope: &Address) -> String {
 }
 
 /// Takes a database from the archives of the other telescopes that share it.
-pub async fn claim_from_others(database: &Path, telescope: &Address, who: &str) -> anyhow::Result<Claim> {
+pub async fn claim_from_others(database: &Path, telescope: &Address, who: &str) -> anyhow::Result<Vec<Claim>> {
     let folder = database.parent().unwrap_or(Path::new("."));
     let begins = format!("{}.", database.file_name().unwrap_or_default().to_string_lossy());
-    let (own, mut locks) = (lock_name(telescope), Vec::new());
+    let (own, mut claims) = (lock_name(telescope), Vec::new());
     for entry in fs::read_dir(folder).with_context(|| format!("cannot read the folder {}", folder.display()))? {
         let file = entry?.path();
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if name.starts_with(&begins) && name.ends_with(".lock") && !name.ends_with(&format!(".{own}")) {
-            locks.extend(lock("the database", database, &file, who).await?);
+            claims.push(lock("the database", database, &file, who).await?);
         }
     }
-    Ok(Claim { _locks: locks })
+    Ok(claims)
 }
 
-/// `None` where the file system knows no locks.
-async fn lock(what: &str, place: &Path, file: &Path, who: &str) -> anyhow::Result<Option<File>> {
+async fn lock(what: &str, place: &Path, file: &Path, who: &str) -> anyhow::Result<Claim> {
     let cannot = || format!("cannot make the lock file {}", file.display());
     if let Some(folder) = file.parent() {
         fs::create_dir_all(folder).with_context(cannot)?;
@@ -90,14 +90,14 @@ async fn lock(what: &str, place: &Path, file: &Path, who: &str) -> anyhow::Resul
             }
             Err(TryLockError::Error(error)) => {
                 tracing::warn!(file = %file.display(), %error, "this file system has no locks; nothing prevents a second archive");
-                return Ok(None);
+                return Ok(Claim { _lock: None });
             }
         }
     }
     // Its text is for people only.
     let note = format!("archive node {who}, process {} on host {}\n", std::process::id(), node::host_name());
     let _ = lock.set_len(0).and_then(|()| lock.rewind()).and_then(|()| lock.write_all(note.as_bytes()));
-    Ok(opened.ok())
+    Ok(Claim { _lock: opened.ok() })
 }
 
 fn one_line(text: &str) -> String {

@@ -24,15 +24,28 @@ fn frame(action: &str, second: f64) -> Frame {
     Frame { purpose, started_utc: at(second), exposure_s: 30.0, ..test_support::frame("frame-1") }
 }
 
+/// The first of the frozen samples.
+fn sample() -> Correction {
+    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
+    serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0)
+}
+
 /// A correction of a frame whose stars stood so far from where they are held.
-fn off(sample: &Correction, off_px: Option<f64>) -> Correction {
+fn off(off_px: Option<f64>) -> Correction {
     let along = |share: f64| off_px.map(|off_px| share * off_px);
-    Correction { dx_px: along(-1.0), dy_px: along(0.0), ..sample.clone() }
+    Correction { dx_px: along(-1.0), dy_px: along(0.0), ..sample() }
+}
+
+/// What this telescope published.
+fn published(correction: Correction, telescope: &str) -> Write {
+    let (telescope, origin) = (telescope.to_owned(), (BootId::fresh(), 0));
+    Write::Correction(Box::new(StoredCorrection { correction, telescope, origin }))
 }
 
 /// What a camera that guides wrote of a frame whose stars stood so far from where they are held.
-fn correction(sample: &Correction, id: &str, camera: &str, second: f64, off_px: f64) -> Write {
-    let axis = |error_px| AxisCorrection { error_px: Some(error_px), ..sample.east.clone() };
+fn correction(id: &str, camera: &str, second: f64, off_px: f64) -> Write {
+    let guided = off(Some(off_px));
+    let axis = |error_px| AxisCorrection { error_px: Some(error_px), ..guided.east.clone() };
     let correction = Correction {
         frame: CommandId(id.to_owned()),
         camera: camera.to_owned(),
@@ -40,10 +53,9 @@ fn correction(sample: &Correction, id: &str, camera: &str, second: f64, off_px: 
         reference: CommandId("reference".to_owned()),
         east: axis(off_px),
         north: axis(0.0),
-        ..off(sample, Some(off_px))
+        ..guided
     };
-    let stored = StoredCorrection { correction, telescope: "callisto".to_owned(), origin: (BootId::fresh(), 0) };
-    Write::Correction(Box::new(stored))
+    published(correction, "callisto")
 }
 
 /// A frame that is stored.
@@ -57,15 +69,13 @@ fn image(id: &str, frame: Frame) -> Write {
 /// Not how well the distance was measured, which is the `error_px` beside it.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_guide_error_is_the_distance_of_the_stars_from_where_they_are_held() {
-    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
-    let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
+    let sample = sample();
     let off_px = sample.dx_px.unwrap().hypot(sample.dy_px.unwrap());
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("archive.db");
     let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
     let correction = Correction { mid_utc: at(15.0), ..sample };
-    let stored = StoredCorrection { correction, telescope: "callisto".to_owned(), origin: (BootId::fresh(), 0) };
-    database.commit(vec![Write::Correction(Box::new(stored))]).await.unwrap();
+    database.commit(vec![published(correction, "callisto")]).await.unwrap();
     let plan = plan(&Reader::open(&path, "callisto").unwrap(), "callisto", &frame("object", 0.0)).unwrap();
     let CardValue::Float(rms_px) = plan.cards[0].value else { panic!("{plan:?}") };
     assert!((rms_px - off_px).abs() < 1e-12, "{rms_px}");
@@ -75,8 +85,6 @@ async fn the_guide_error_is_the_distance_of_the_stars_from_where_they_are_held()
 
 #[tokio::test(flavor = "multi_thread")]
 async fn guide_errors_during_the_exposure_make_the_keyword_and_those_of_other_telescopes_do_not() {
-    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
-    let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("archive.db");
     let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
@@ -90,10 +98,8 @@ async fn guide_errors_during_the_exposure_make_the_keyword_and_those_of_other_te
     ];
     for (number, (second, off_px, telescope)) in measured.into_iter().enumerate() {
         let frame = CommandId(format!("guide-{number}"));
-        let correction = Correction { frame, mid_utc: at(second), ..off(&sample, off_px) };
-        let origin = (BootId::fresh(), number as u64);
-        let stored = StoredCorrection { correction, telescope: telescope.to_owned(), origin };
-        database.commit(vec![Write::Correction(Box::new(stored))]).await.unwrap();
+        let correction = Correction { frame, mid_utc: at(second), ..off(off_px) };
+        database.commit(vec![published(correction, telescope)]).await.unwrap();
     }
     let reader = Reader::open(&path, "callisto").unwrap();
     let guided = plan(&reader, "callisto", &frame("object", 0.0)).unwrap();
@@ -124,8 +130,6 @@ async fn guide_errors_during_the_exposure_make_the_keyword_and_those_of_other_te
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_frame_counts_what_was_measured_from_its_first_to_its_last_moment_and_each_measurement_once() {
-    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
-    let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("archive.db");
     let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
@@ -140,9 +144,8 @@ async fn a_frame_counts_what_was_measured_from_its_first_to_its_last_moment_and_
         ("much later", 3610.0, None),
     ] {
         let frame = CommandId(id.to_owned());
-        let correction = Correction { frame, mid_utc: at(second), ..off(&sample, off_px) };
-        let stored = StoredCorrection { correction, telescope: "callisto".to_owned(), origin: (BootId::fresh(), 0) };
-        database.commit(vec![Write::Correction(Box::new(stored))]).await.unwrap();
+        let correction = Correction { frame, mid_utc: at(second), ..off(off_px) };
+        database.commit(vec![published(correction, "callisto")]).await.unwrap();
     }
     let reader = Reader::open(&path, "callisto").unwrap();
     let guided = plan(&reader, "callisto", &frame("object", 0.0)).unwrap();
@@ -166,8 +169,6 @@ async fn a_frame_counts_what_was_measured_from_its_first_to_its_last_moment_and_
 /// A camera of its own guides, and the first frame of the row, too, is looked at.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_frames_that_guided_are_the_same_for_the_keyword_the_view_of_the_database_and_the_report() {
-    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
-    let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("archive.db");
     let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
@@ -177,7 +178,6 @@ async fn the_frames_that_guided_are_the_same_for_the_keyword_the_view_of_the_dat
         let facts = FrameFacts { frame, camera, scale_arcsec_px: Some(2.0), ..Default::default() };
         Write::Facts(Box::new(StoredFacts { facts, at: at(0.0), origin: (BootId::fresh(), 0) }))
     };
-    let correction = |id, camera, second, off_px| correction(&sample, id, camera, second, off_px);
     let writes = vec![
         image("own", frame("object", 0.0)),
         image("other", frame("object", 100.0)),
@@ -215,8 +215,6 @@ async fn the_frames_that_guided_are_the_same_for_the_keyword_the_view_of_the_dat
 /// The night is asked about in one question; each of its frames is held by what held it alone.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_night_was_held_by_what_held_each_frame_of_a_target_and_each_measurement_counts_once_for_an_object() {
-    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
-    let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("archive.db");
     let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
@@ -225,7 +223,6 @@ async fn a_night_was_held_by_what_held_each_frame_of_a_target_and_each_measureme
         let purpose = Purpose { object: Some(object.to_owned()), ..plain.purpose };
         image(id, Frame { purpose, camera: camera.to_owned(), ..plain })
     };
-    let correction = |id, camera, second, off_px| correction(&sample, id, camera, second, off_px);
     let writes = vec![
         image("a", "andor", "A", 0.0),
         // Exposed by another camera meanwhile.

@@ -49,6 +49,7 @@ pub async fn run(
                 Ok(id) => {
                     node.alerts.clear(AlertKind::SpoolCannotWrite, "");
                     let Some(frame) = spool.frame(&id) else { continue };
+                    node.alerts.clear(AlertKind::ImageUnreadable, &frame.camera);
                     tracing::info!(camera = frame.camera, frame = %id, exposure_s = frame.exposure_s, "frame in the spool");
                     if let Some((_, publisher)) = publishers.iter().find(|(name, _)| name.as_str() == frame.camera) {
                         announce(publisher, frame).await;
@@ -57,7 +58,15 @@ pub async fn run(
                 Err((id, error)) => {
                     tracing::error!(frame = %id, %error, "a frame is lost");
                     let cause = format!("frame {id} could not be kept: {error}");
-                    node.alerts.raise(AlertKind::SpoolCannotWrite, "", &cause);
+                    // The disk has no part in what a camera answers.
+                    match error {
+                        SpoolError::Image { camera, .. } => {
+                            node.alerts.raise(AlertKind::ImageUnreadable, camera, &cause);
+                        }
+                        SpoolError::Disk { .. } | SpoolError::Describe(_) => {
+                            node.alerts.raise(AlertKind::SpoolCannotWrite, "", &cause);
+                        }
+                    }
                 }
             },
             // The first tick is now: frames that waited for a restart.

@@ -63,14 +63,13 @@ impl CommandCheck {
         let (tokens, name, boot_id) = (self.tokens.clone(), telescope.clone(), who.boot_id.cloned());
         let granted = tokio::task::spawn_blocking(move || tokens.grant(&name, (boot_id.as_ref(), shows), &claim)).await;
         let granted = granted.map_err(std::io::Error::other).and_then(|granted| granted);
-        let NextToken { token, left_behind } =
-            granted.map_err(|error| (Reason::DeviceError, format!("the token cannot be written: {error}")))?;
+        let NextToken { token, left_behind } = granted.map_err(|error| (Reason::DeviceError, not_written(&error)))?;
         match left_behind {
             Some(own) => {
                 let before = token.saturating_sub(1);
                 let cause = format!(
-                    "{telescope}: the file with the newest lease of this node has {own}; {} or another node has shown {before}, so that the count goes on \
-                     with {token}",
+                    "{telescope}: the file with the newest lease of this node has {own}; {}, another node or the guard process has \
+                     shown {before}, so that the count goes on with {token}",
                     who.name
                 );
                 tracing::warn!("{cause}");
@@ -89,4 +88,12 @@ impl CommandCheck {
     fn guard(&self) -> Option<std::sync::MutexGuard<'_, Guard>> {
         Some(self.guard.as_ref()?.lock().unwrap_or_else(PoisonError::into_inner))
     }
+}
+
+/// Why no lease is granted, for people.
+fn not_written(error: &std::io::Error) -> String {
+    format!(
+        "its disk does not take the next token ({error}): make room there, or let the device node's account write there; it is \
+         tried again each second"
+    )
 }

@@ -244,7 +244,7 @@ impl<D: Driver> CommandServer<D> {
 
     /// The answer to a command that was accepted; one that comes again gets it again.
     fn accepted(&self, id: CommandId, token: Option<u64>) -> Reply {
-        let reply = Reply::Accepted(Accepted { id, token });
+        let reply = Reply::Accepted(Accepted { id, token, not_written: None });
         let mut answered = self.answered.lock().unwrap_or_else(PoisonError::into_inner);
         answered.push_back(reply.clone());
         if answered.len() > REMEMBERED {

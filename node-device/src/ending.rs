@@ -36,7 +36,7 @@ pub async fn close_first(node: Node, link: Option<GuardLink>, enclosures: Vec<En
     for Enclosure { name, guard, closed } in &enclosures {
         guard.lock().unwrap_or_else(std::sync::PoisonError::into_inner).end();
         if !*closed.borrow() {
-            tracing::warn!(dome = %name, "the node was asked to end; the dome is closed first");
+            tracing::info!(dome = %name, "the node was asked to end; the dome is closed first");
         }
     }
     let mut open: Vec<String> = Vec::new();

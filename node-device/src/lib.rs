@@ -73,6 +73,7 @@ use node::{Node, NodeOptions};
 use tokio::task::JoinSet;
 
 use guard_process::link::GuardLink;
+use guard_process::remembered_tokens;
 
 /// `starmesh node device`: one node, or without `--id` all device nodes of the file, each as a process of its own.
 ///
@@ -122,6 +123,16 @@ pub fn closes_by_copy(config: &std::path::Path) -> bool {
     guard_process::places::Places::of(config, config::ENCLOSURE_NODE).copy().is_some()
 }
 
+/// Has anybody commanded this telescope before, as far as the guard process of one of its domes on this host remembers?
+pub fn was_commanded(config: &std::path::Path, observatory: &config::Observatory) -> bool {
+    let telescope = observatory.place.telescope.as_str();
+    let remembers = |dome: &config::Dome| {
+        let tokens = remembered_tokens(config, dome.common.node_id(contract::Kind::Dome));
+        tokens.get(telescope).is_some_and(|token| *token > 0)
+    };
+    observatory.dome.iter().any(remembers)
+}
+
 /// Serves the devices of a node until it is stopped.
 pub async fn run(node: Node) -> anyhow::Result<()> {
     serve_devices(node, None).await
@@ -137,7 +148,9 @@ async fn serve_devices(node: Node, guarded: Option<(GuardLink, NodeOptions)>) ->
     let mut tasks = JoinSet::new();
     let audit = Audit::start(&node).await?;
     let link = guarded.as_ref().map(|(link, _)| link);
-    let (spool, enclosures) = start::all(&node, &part, &audit, link, &mut tasks).await?;
+    let remembered = guarded.as_ref().map(|(_, options)| remembered_tokens(&options.config, node.id.as_str()));
+    let remembered = remembered.unwrap_or_default();
+    let (spool, enclosures) = start::all(&node, &part, &audit, (link, remembered), &mut tasks).await?;
     let names = enclosures.iter().map(|enclosure| enclosure.name.to_string()).collect();
     tasks.spawn(ending::close_first(node.clone(), link.cloned(), enclosures));
     if let Some((link, options)) = guarded {

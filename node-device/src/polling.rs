@@ -23,6 +23,8 @@ pub const LOST_AFTER: usize = 2;
 
 /// Questions to a slow device that are under way at one time.
 pub const LANES: usize = 6;
+/// A device that has fallen silent is asked so often whether it answers again.
+const KNOCK_EVERY: Duration = Duration::from_millis(250);
 /// An answer that is read so long after it was asked for waited in a process that was stalled.
 const TOO_OLD: Duration = Duration::from_secs(3);
 
@@ -67,7 +69,7 @@ pub struct Poll {
     pub device_state: bool,
     /// Several questions at once were too many for the server.
     pub crowded: bool,
-    /// The properties left unasked, as the answers before took too long: those are published first.
+    /// The properties left unasked, as the answers before took too long, and are published first, or one did not come.
     pub unasked: Vec<String>,
 }
 
@@ -81,11 +83,20 @@ pub struct Wanted {
     pub device_state: bool,
     /// So many questions at once.
     pub lanes: usize,
-    /// Once the answers have taken so long, they are published before more is asked.
+    /// Once the answers have taken so long, or one did not come, they are published before more is asked.
     pub publish_after: Option<Duration>,
 }
 
 impl Poll {
+    /// The first property to which no whole answer came.
+    pub fn silent(&self) -> Option<&String> {
+        let is_silent = |answer: &&PropertyAnswer| answer.result.as_ref().is_err_and(AlpacaError::is_transport);
+        let single = self.answers.iter().find(is_silent).map(|answer| &answer.property);
+        // All of them were asked for at once.
+        let all = self.lost.as_ref().is_some_and(AlpacaError::is_transport).then(|| self.unasked.first()).flatten();
+        single.or(all)
+    }
+
     /// The server denies, in HTTP's words, every property of the device: there is no such device any more.
     pub fn denied(&self) -> Option<&AlpacaError> {
         let mut errors = self.answers.iter().map(|answer| answer.result.as_ref().err());
@@ -199,6 +210,10 @@ impl Questions {
         if device_state && properties.len() > 1 {
             match self.alpaca.get("devicestate").await {
                 Ok(state) => poll.answers = self.matched(&properties, &state, began),
+                Err(error) if error.is_transport() && publish_after.is_some() => {
+                    (poll.lost, poll.unasked) = (Some(error), properties);
+                    return poll;
+                }
                 Err(error) if error.is_transport() => silent = 1,
                 Err(error) if error.is_not_connected() => {
                     poll.lost = Some(error);
@@ -218,6 +233,12 @@ impl Questions {
             let (failed, good): (Vec<PropertyAnswer>, Vec<PropertyAnswer>) = answers.into_iter().partition(timed_out);
             spoke |= !good.is_empty();
             poll.answers.extend(good);
+            // A device that answered nothing is not waited for a second time.
+            if !spoke && publish_after.is_some() {
+                poll.lost = failed.first().and_then(|answer| answer.result.as_ref().err()).cloned();
+                poll.unasked = left;
+                return poll;
+            }
             left = failed.into_iter().map(|answer| answer.property).collect();
         }
         let mut left = left.into_iter();
@@ -237,7 +258,7 @@ impl Questions {
                 poll.lost = failed;
                 return poll;
             }
-            if publish_after.is_some_and(|limit| began_at.elapsed() > limit) {
+            if publish_after.is_some_and(|limit| silent > 0 || began_at.elapsed() > limit) {
                 poll.unasked = left.by_ref().collect();
             }
         }
@@ -245,6 +266,22 @@ impl Questions {
             poll.lost = poll.answers.last().and_then(|answer| answer.result.as_ref().err()).cloned();
         }
         poll
+    }
+
+    /// Asks for a property each quarter of a second, beside what else is asked, until an answer of any kind comes. One that does
+    /// not come `within` this time is not waited for: a server that was away may never give it.
+    pub async fn until_answered(self, property: &str, within: Duration) {
+        let (member, parameters) = member(property);
+        let parameters: Vec<(&str, &str)> = parameters.iter().map(|(name, value)| (*name, value.as_str())).collect();
+        let alpaca = self.alpaca.at_once();
+        loop {
+            let next = tokio::time::Instant::now() + KNOCK_EVERY;
+            let answer = tokio::time::timeout(within, alpaca.get_with(&member, &parameters)).await;
+            if answer.is_ok_and(|answer| !answer.is_err_and(|error| error.is_transport())) {
+                return;
+            }
+            tokio::time::sleep_until(next).await;
+        }
     }
 
     /// Asks for several properties at a time, each with a deadline and a connection of its own.
@@ -277,5 +314,66 @@ impl Questions {
         let too_old = self.clock.machine().since(asked.machine) > TOO_OLD;
         answers.retain(|answer| !too_old && !twice.contains(&answer.property));
         answers
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpListener;
+
+    use contract::Kind;
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+
+    use super::*;
+
+    fn questions(listener: &TcpListener) -> Questions {
+        let server = listener.local_addr().unwrap().to_string();
+        let alpaca = Alpaca::new(alpaca::http_client().unwrap(), &server, Kind::ObservingConditions, 0).unwrap();
+        Questions { alpaca, clock: Clock::machine_clock() }
+    }
+
+    #[tokio::test]
+    async fn a_server_that_hangs_is_waited_for_once_and_what_decides_is_asked_anew() {
+        // The system takes the connections, and nobody answers.
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let properties = ["RainRate", "WindSpeed", "Humidity"].map(str::to_owned);
+        let poll = |device_state, lanes| {
+            let publish_after = Some(Duration::from_secs(60));
+            let wanted = Wanted { properties: properties.to_vec(), full: true, device_state, lanes, publish_after };
+            questions(&listener).poll(wanted)
+        };
+        let (single, state, several) = tokio::join!(poll(false, 1), poll(true, 1), poll(false, LANES));
+        for (case, poll, answers, unasked) in [
+            ("one by one", single, 1, &properties[1..]),
+            ("devicestate first", state, 0, &properties[..]),
+            ("several at once", several, 0, &properties[..]),
+        ] {
+            assert!(poll.lost.as_ref().is_some_and(AlpacaError::is_timeout), "{case}: {:?}", poll.lost);
+            assert_eq!((poll.answers.len(), &poll.unasked[..]), (answers, unasked), "{case}");
+            assert_eq!(poll.silent(), Some(&properties[0]), "{case}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_device_that_was_silent_is_asked_until_it_answers() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let asking = questions(&listener);
+        listener.set_nonblocking(true).unwrap();
+        let listener = tokio::net::TcpListener::from_std(listener).unwrap();
+        tokio::spawn(async move {
+            let mut hang = Vec::new();
+            loop {
+                let (mut stream, _) = listener.accept().await.unwrap();
+                if hang.len() < 2 {
+                    hang.push(stream);
+                    continue;
+                }
+                // Its client may have given it up.
+                let _ = stream.read(&mut [0; 4096]).await;
+                let _ = stream.write_all(b"HTTP/1.1 500 Starting\r\nContent-Length: 0\r\n\r\n").await;
+            }
+        });
+        let limit = Duration::from_secs(60);
+        tokio::time::timeout(limit, asking.until_answered("RainRate", KNOCK_EVERY)).await.unwrap();
     }
 }

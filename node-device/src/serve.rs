@@ -7,6 +7,7 @@
 
 mod command;
 mod contradiction;
+mod silence;
 mod slowness;
 mod turns;
 mod unread;
@@ -17,13 +18,13 @@ use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use alpaca::{Abilities, Alpaca, AlpacaError};
-use bus::{MachineTime, Publisher};
+use bus::Publisher;
 use config::Common;
 use contract::audit::AuditOutcome as Ended;
 use contract::device::DeviceDescription;
 use contract::observatory::AlertKind;
 use contract::{Device, DeviceKind as _, DeviceState, Key, LastCommand, Link};
-use node::Node;
+use node::{Looks, Node};
 use tokio::sync::mpsc;
 use tokio::task::{JoinError, JoinSet};
 use tokio::time::{Instant, sleep_until};
@@ -128,8 +129,9 @@ struct Loop<D: Driver> {
     each: Duration,
     /// Nothing is published before this, because what was read is old and is being read again.
     quiet_until: Option<Instant>,
-    /// When the loop last began to wait, and for how long.
-    waits: (MachineTime, Duration),
+    /// Asks a device that has fallen silent; true once it answers.
+    knocking: Task<bool>,
+    looks: Looks,
 }
 
 impl<D: Driver> Serve<D> {
@@ -183,12 +185,12 @@ impl<D: Driver> Serve<D> {
             one_lane: false,
             each: Duration::ZERO,
             quiet_until: None,
-            waits: (bus.clock().machine(), Duration::ZERO),
+            knocking: None,
+            looks: Looks::begin(bus.clock().machine(), turns::STALL),
         };
         lap.publish(true).await;
         loop {
-            let wake = lap.wake();
-            lap.waits.1 += wake.saturating_duration_since(Instant::now());
+            let wake = lap.wake().min(Instant::now() + bus.clock().machine().to_tick(turns::LOOK));
             let turn = tokio::select! {
                 biased;
                 () = stop.wait() => {
@@ -205,6 +207,7 @@ impl<D: Driver> Serve<D> {
                 result = finished(&mut lap.job) => Turn::Executed(result),
                 Some(answered) = lap.unanswered.join_next() => Turn::Late(answered),
                 polling = finished(&mut lap.polling) => Turn::Polling(polling),
+                answers = finished(&mut lap.knocking) => Turn::Knocked(answers),
                 read = finished(&mut lap.reading_again.task) => Turn::ReadAgain(read),
                 () = driver.stirred() => Turn::Stirred,
                 () = sleep_until(wake) => Turn::Due,
@@ -222,7 +225,8 @@ impl<D: Driver> Serve<D> {
                     lap.polled(poll);
                     lap.publish(full).await;
                 }
-                Turn::Stirred => {}
+                Turn::Knocked(true) => lap.answers_again(),
+                Turn::Knocked(false) | Turn::Stirred => {}
                 Turn::ReadAgain(read) => lap.read_again(read),
                 Turn::Due => lap.due(),
             }
@@ -238,6 +242,7 @@ enum Turn<D: Driver> {
     Executed(Result<Executed, AlpacaError>),
     Late(Result<Result<Executed, AlpacaError>, JoinError>),
     Polling(Polling<D>),
+    Knocked(bool),
     Stirred,
     Due,
     ReadAgain(ReadAgain<D>),
@@ -339,7 +344,7 @@ impl<D: Driver> Loop<D> {
         self.status().can = Some(greeting.description.can.clone());
         self.description = Some(greeting.description);
         self.reading_again = ReadingAgain::of(greeting.abilities);
-        (self.failures, self.silent_polls) = (0, 0);
+        (self.failures, self.silent_polls, self.knocking) = (0, 0, None);
         let now = Instant::now();
         (self.next_turn, self.next_full, self.next_description) = (now, now, now);
         self.observe_now();
@@ -358,12 +363,14 @@ impl<D: Driver> Loop<D> {
         self.quiet_until = None;
         let splits = self.splits();
         self.pace(&poll);
+        self.note_silence(&poll);
         self.keep(poll.answers);
-        // The rest of a device may hang by itself: what decides shows whether there is a link. A slow device is asked one
-        // thing at a time, and then several in a row show it.
+        // The rest of a device may hang by itself: what decides shows whether there is a link. Of a device with properties
+        // that decide, one that hangs ends the poll, and then several in a row show it.
         let is_silent = poll.lost.as_ref().is_some_and(AlpacaError::is_transport);
         self.silent_polls = if is_silent { self.silent_polls + 1 } else { 0 };
-        let shows = poll.full || !splits || self.silent_polls >= LOST_AFTER;
+        let is_timeout = poll.lost.as_ref().is_some_and(AlpacaError::is_timeout);
+        let shows = !splits || self.silent_polls >= LOST_AFTER || (poll.full && !is_timeout);
         let lost = poll.lost.filter(|error| shows || !error.is_transport());
         if let Some(error) = lost.or(denied) {
             return self.lose(&error);
@@ -400,36 +407,6 @@ impl<D: Driver> Loop<D> {
     /// As alerts name the device.
     fn instance(&self) -> String {
         format!("{}/{}", D::Kind::KIND, self.serve.device.name)
-    }
-
-    /// The device is gone: everything is missing, for this reason, until it is back.
-    fn lose(&mut self, error: &AlpacaError) {
-        let reason = error.no_data();
-        if self.link == Link::Connected || self.failures == 0 {
-            tracing::warn!(device = %self.serve.device, %error, "device lost; trying again");
-        }
-        self.link = Link::Lost { reason: reason.clone() };
-        let instance = self.instance();
-        let cause = format!("{instance} at {} does not answer: {}", self.serve.common.server, error.words());
-        self.serve.node.alerts.raise(AlertKind::DeviceLost, &instance, &cause);
-        // Also what was never read is missing for this reason.
-        let clock = self.serve.node.bus.clock().clone();
-        for property in self.wanted() {
-            self.readings.keep(&property, Err(reason.clone()), clock.utc());
-        }
-        self.readings.lose(&reason, clock.utc());
-        self.device_state = false;
-        self.quiet_until = None;
-        self.reading_again = ReadingAgain::default();
-        self.observe_now();
-        self.note_contradiction();
-        self.note_unread();
-        self.judge(None);
-        let back_off = (0.5 * 2_f64.powi(self.failures)).min(LONGEST_BACK_OFF_S);
-        self.failures = (self.failures + 1).min(10);
-        // Several devices of one server come back one after another.
-        let jitter = 1.0 + f64::from(self.serve.index % 8) * 0.03;
-        self.next_turn = Instant::now() + Duration::from_secs_f64(back_off * jitter);
     }
 
     fn observe_now(&self) {

@@ -4,6 +4,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
+use node::restart::{self, Pauses};
 use node::watchdog::{self, Watchdog};
 use node::{NodeOptions, Stop, lines};
 use tokio::process::Child;
@@ -13,8 +14,6 @@ use crate::child::{self, END_LIMIT};
 
 /// A device node that keeps ending is started again after at most this time; an enclosure has no permit meanwhile.
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
-/// A process that ran for this time counts as healthy: its next start comes after the shortest pause.
-const HEALTHY: Duration = Duration::from_secs(60);
 /// A file that could not be read is read again so often.
 const READ_AGAIN: Duration = Duration::from_secs(5);
 
@@ -141,15 +140,16 @@ fn start_missing(nodes: &mut Vec<RunningNode>, options: &NodeOptions, ids: &[(St
 /// Runs one node and starts it again, also after a start that failed; true where it ended in good order after it was asked
 /// to.
 async fn keep(options: &NodeOptions, id: &str, stop: Stop) -> bool {
-    let mut pause = Duration::from_secs(1);
+    let mut pauses = Pauses::default();
     loop {
         let started = Instant::now();
         let status = match run_once(options, id, &stop).await {
             Ok(in_good_order) => return in_good_order,
             Err(status) => status,
         };
-        pause = if started.elapsed() > HEALTHY { Duration::from_secs(1) } else { (pause * 2).min(LONGEST_PAUSE) };
-        lines::complain(format_args!("node-device: the device node {id} ended ({status}); next start in {pause:?}"));
+        let pause = pauses.after(started.elapsed(), LONGEST_PAUSE);
+        let next = restart::words(pause);
+        lines::complain(format_args!("node-device: the device node {id} ended ({status}); next start {next}"));
         if stop.or(tokio::time::sleep(pause)).await.is_none() {
             return true;
         }

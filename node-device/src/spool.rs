@@ -24,9 +24,14 @@ const WAITING_FOR_DISK: usize = 3;
 /// Why a frame is not in the spool.
 #[derive(Debug, thiserror::Error)]
 pub enum SpoolError {
-    /// The image makes no sense.
-    #[error("the image cannot be decoded: {0}")]
-    Image(#[from] alpaca::AlpacaError),
+    /// What the camera answered is no image.
+    #[error("what {camera} answered as its image cannot be read: {source}")]
+    Image {
+        /// Which camera.
+        camera: Name,
+        /// What is wrong with the answer.
+        source: alpaca::AlpacaError,
+    },
     /// The disk refused.
     #[error("cannot write {path}: {source}")]
     Disk {
@@ -173,8 +178,11 @@ impl Spool {
 
     /// Decodes a frame and writes it to the disk, off the async threads, then sends a message to the receiver.
     pub async fn keep(self: Arc<Self>, place: Place, raw: RawImage, max_adu: Option<f64>, about: About) {
-        let (id, spool) = (about.id.clone(), self.clone());
-        let work = tokio::task::spawn_blocking(move || spool.store(&raw.into_image(max_adu)?, about));
+        let (id, camera, spool) = (about.id.clone(), about.camera.clone(), self.clone());
+        let work = tokio::task::spawn_blocking(move || {
+            let image = raw.into_image(max_adu).map_err(|source| SpoolError::Image { camera, source })?;
+            spool.store(&image, about)
+        });
         let outcome = match work.await {
             Ok(Ok(())) => Ok(id),
             Ok(Err(error)) => Err((id, error)),

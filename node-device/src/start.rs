@@ -59,6 +59,8 @@ struct SharedParts<'a> {
     audit: &'a Audit,
     index: u32,
     link: Option<&'a GuardLink>,
+    /// The tokens that the guard process remembers.
+    remembered: BTreeMap<String, u64>,
     enclosures: Vec<Enclosure>,
 }
 
@@ -72,12 +74,13 @@ pub struct Enclosure {
     pub closed: watch::Receiver<bool>,
 }
 
-/// Starts every device of the node's part; returns the spool where there is a camera, and the enclosures.
+/// Starts every device of the node's part; returns the spool where there is a camera, and the enclosures. A node in a guard
+/// process has a link to it, and the tokens that it remembers.
 pub async fn all(
     node: &Node,
     part: &NodePart<'_>,
     audit: &Audit,
-    link: Option<&GuardLink>,
+    (link, remembered): (Option<&GuardLink>, BTreeMap<String, u64>),
     tasks: &mut Tasks,
 ) -> anyhow::Result<(Option<Arc<Spool>>, Vec<Enclosure>)> {
     let data = &node.config.folders.data;
@@ -94,7 +97,8 @@ pub async fn all(
         Ok(())
     });
     let http = http_client().context("no HTTP client")?;
-    let mut shared = SharedParts { node, tokens, tasks, http, audit, index: 0, link, enclosures: Vec::new() };
+    let (index, enclosures) = (0, Vec::new());
+    let mut shared = SharedParts { node, tokens, tasks, http, audit, index, link, remembered, enclosures };
     let config = &node.config;
     // Enclosures first: what closes must not wait for anything else to start.
     for dome in config.dome.iter().filter(|dome| part.serves(Kind::Dome, &dome.common)) {
@@ -189,7 +193,10 @@ impl SharedParts<'_> {
         let clock = self.node.bus.clock().clone();
         let own = self.node.config.place.telescope.clone();
         let telescopes = if dome.telescopes.is_empty() { vec![own] } else { dome.telescopes.clone() };
-        telescopes.iter().for_each(|telescope| self.tokens.arbitrate(telescope.as_str()));
+        for telescope in telescopes.iter().map(Chunk::as_str) {
+            self.tokens.arbitrate(telescope);
+            self.tokens.show(telescope, self.remembered.get(telescope).copied().unwrap_or_default());
+        }
         let known: BTreeMap<Chunk, u64> =
             telescopes.iter().map(|one| (one.clone(), self.tokens.highest(one.as_str()))).collect();
         let seconds = |s: f64| Duration::from_secs_f64(s.clamp(0.0, 86_400.0));

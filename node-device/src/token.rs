@@ -57,6 +57,11 @@ impl Tokens {
         self.leases().tokens_mut().arbitrate(telescope);
     }
 
+    /// The guard process remembers this token of a lease that this node grants: it counts where this node's file is gone.
+    pub fn show(&self, telescope: &str, token: u64) {
+        self.leases().tokens_mut().show(telescope, token);
+    }
+
     /// Takes over the highest tokens that other device nodes of this host have in the same folder. Until an enclosure
     /// had a node of its own its tokens were granted by the node `main`, and the mount's node refuses lower ones than
     /// it knows.
@@ -76,7 +81,7 @@ impl Tokens {
             let known: BTreeMap<String, u64> =
                 read.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
             for (telescope, token) in known {
-                self.raise(&telescope, token).with_context(|| format!("cannot write {}", self.file.display()))?;
+                self.raise(&telescope, token).context("cannot write the fencing tokens")?;
             }
         }
         Ok(())
@@ -162,7 +167,8 @@ impl Tokens {
     }
 
     fn write(&self, newest: &BTreeMap<String, u64>) -> io::Result<()> {
-        self.replace(&self.file, &serde_json::to_vec_pretty(newest)?)
+        let written = self.replace(&self.file, &serde_json::to_vec_pretty(newest)?);
+        written.map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", self.file.display())))
     }
 
     /// Replaces a file as a whole, so that it is never half-written.
@@ -203,6 +209,38 @@ mod tests {
         let tokens = Tokens::open(&file).unwrap();
         assert_eq!(tokens.highest("alpha"), 2);
         assert_eq!(granted(&tokens, "alpha", None, &CommandId::fresh()), 3);
+    }
+
+    #[test]
+    fn a_token_that_the_disk_does_not_take_is_not_granted_and_the_file_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("tokens.json");
+        let tokens = Tokens::open(&file).unwrap();
+        let part = file.with_extension("part");
+        fs::create_dir(&part).unwrap();
+        let refused = tokens.grant("alpha", (None, None), &CommandId::fresh()).unwrap_err().to_string();
+        assert!(refused.starts_with(&format!("{}: ", file.display())), "{refused}");
+        assert_eq!(tokens.highest("alpha"), 0);
+        fs::remove_dir(&part).unwrap();
+        assert_eq!(granted(&tokens, "alpha", None, &CommandId::fresh()), 1);
+    }
+
+    #[test]
+    fn an_arbiter_whose_file_is_gone_goes_on_from_what_its_guard_process_remembers() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("tokens.json");
+        // The commander's folder is gone, too: it remembers nothing.
+        let next = |remembered| {
+            let tokens = Tokens::open(&file).unwrap();
+            tokens.arbitrate("alpha");
+            tokens.show("alpha", remembered);
+            let next = tokens.grant("alpha", (None, None), &CommandId::fresh()).unwrap();
+            (next.token, next.left_behind)
+        };
+        assert_eq!(next(0), (1, None), "a first night");
+        assert_eq!(next(41), (2, None), "the file counts");
+        fs::remove_file(&file).unwrap();
+        assert_eq!(next(41), (42, Some(0)), "nobody may take it for the first commander of all");
     }
 
     #[test]

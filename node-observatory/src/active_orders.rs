@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use contract::command::operator;
 use contract::observatory::{AlertKind, OperatorOrders};
 use node::{Node, StandingAlerts};
 use safety::active_orders::ActiveOrders;
@@ -49,8 +50,18 @@ impl OrderState {
 pub fn start(tasks: &mut Tasks, node: &Node, hold: watch::Receiver<Hold>, orders: &OrderState) {
     let active_orders = orders.orders.clone();
     tasks.spawn("operator orders", keep_reminding(node.clone(), active_orders.clone()));
-    let (kind, what) = (AlertKind::OperatorOrders, "what people ordered");
-    tasks.spawn("operator orders on disk", active_orders.keep_on_disk(node.alerts.clone(), hold, kind, what));
+    let kind = AlertKind::OperatorOrders;
+    tasks.spawn("operator orders on disk", active_orders.keep_on_disk(node.alerts.clone(), hold, kind, named));
+}
+
+/// The orders by their names, for the alert that they are not on disk.
+fn named(orders: &ActiveOrders) -> String {
+    let closed = orders.stay_closed.iter().map(|by| format!("stay-closed of {}", operator(&by.from)));
+    let overrides = orders.overrides.iter();
+    let overrides = overrides.map(|(input, by)| format!("override {input} of {}", operator(&by.ordered_by.from)));
+    let all: Vec<String> = closed.chain(overrides).collect();
+    let all = if all.is_empty() { "no stay-closed, no override".to_owned() } else { all.join(", ") };
+    format!("what people ordered ({all})")
 }
 
 /// Reads the file; of one that cannot be read a copy is kept.

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{Catch, MachineTime};
+use contract::node::NodeState;
 use contract::observatory::{AlertKind, Alerts};
-use contract::{Key, Name, NodeTopic, Part, Role, Topic};
+use contract::{BootId, Key, Name, NodeTopic, Part, Role, Topic};
 use safety::annunciator::Annunciator;
 use tokio::sync::watch;
 use units::Utc;
@@ -29,8 +30,10 @@ const MOST_ALERTS_OF_NODE: usize = 100;
 pub fn start(tasks: &mut Tasks, authority: &Arc<Authority>, orders: &OrderState) {
     let annunciator = &orders.annunciator;
     let (node, hold) = (&authority.node, authority.hold.clone());
-    let (kind, what) = (AlertKind::AlertsNotSaved, "what people did about alerts");
-    tasks.spawn("alerts on disk", annunciator.clone().keep_on_disk(node.alerts.clone(), hold, kind, what));
+    let writing = annunciator.clone().keep_on_disk(node.alerts.clone(), hold, AlertKind::AlertsNotSaved, |_| {
+        "what people did about alerts".to_owned()
+    });
+    tasks.spawn("alerts on disk", writing);
     // `None` while another node publishes for this telescope.
     let (merged, alerts) = watch::channel(None);
     tasks.spawn("alerts", keep_merging(authority.clone(), annunciator.clone(), merged));
@@ -41,6 +44,40 @@ pub fn start(tasks: &mut Tasks, authority: &Arc<Authority>, orders: &OrderState)
     tasks.spawn("silent nodes", notify::keep_noticing_silence(node.clone(), || true));
 }
 
+/// The lists of the other nodes. Silence takes none back, only an end in good order: until a node that died is started again,
+/// or a person acknowledges them, its last alerts stand. Pure: time comes in.
+#[derive(Default)]
+struct OtherLists {
+    lists: BTreeMap<(Role, Name), (Alerts, MachineTime)>,
+    /// Incarnations that ended in good order: a list of one of these is older than its end.
+    ended: BTreeMap<(Role, Name), BootId>,
+}
+
+impl OtherLists {
+    fn take(&mut self, who: (Role, Name), boot_id: &BootId, mut list: Alerts, arrived: MachineTime) {
+        let has_room = self.lists.len() < MOST_NODES || self.lists.contains_key(&who);
+        if has_room && self.ended.get(&who) != Some(boot_id) {
+            list.alerts.truncate(MOST_ALERTS_OF_NODE);
+            self.lists.insert(who, (list, arrived));
+        }
+    }
+
+    fn observe(&mut self, who: (Role, Name), boot_id: &BootId, state: &NodeState) {
+        if state.ended_well() && (self.ended.len() < MOST_NODES || self.ended.contains_key(&who)) {
+            self.lists.remove(&who);
+            self.ended.insert(who, boot_id.clone());
+        }
+    }
+
+    /// The lists that stand, without what a person has acknowledged of those of silent nodes.
+    fn stand(&mut self, known: &Annunciator, now: MachineTime) -> impl Iterator<Item = Alerts> {
+        for (alerts, _) in self.lists.values_mut().filter(|(_, arrived)| now.since(*arrived) > SILENCE) {
+            known.stand_on(alerts);
+        }
+        self.lists.values().map(|(alerts, _)| alerts.clone())
+    }
+}
+
 /// Publishes the merged alerts at each change and every 10 s.
 async fn keep_merging(
     authority: Arc<Authority>,
@@ -48,23 +85,20 @@ async fn keep_merging(
     merged: watch::Sender<Option<Alerts>>,
 ) -> anyhow::Result<()> {
     let address = authority.node.config.address();
-    let expression = Topic::Node(NodeTopic::Alerts).at(&address);
-    let others = authority.node.bus.subscribe::<Alerts>(expression, Catch::Newest, 256).await?;
+    let of_nodes = |topic| Topic::Node(topic).at(&address);
+    let others = authority.node.bus.subscribe::<Alerts>(of_nodes(NodeTopic::Alerts), Catch::Newest, 256).await?;
+    let states = authority.node.bus.subscribe::<NodeState>(of_nodes(NodeTopic::State), Catch::Newest, 256).await?;
     let line = authority.node.bus.publisher::<Alerts>(&authority.key(Part::Alerts)).await?;
     let clock = authority.node.bus.clock().clone();
     let mut own = authority.node.alerts.watch();
     let mut orders = annunciator.subscribe();
-    let mut received: BTreeMap<(Role, Name), (Alerts, MachineTime)> = BTreeMap::new();
+    let mut received = OtherLists::default();
     let mut published: Option<(Alerts, MachineTime)> = None;
     let mut speaks_since: Option<MachineTime> = None;
     loop {
         let now = clock.machine();
-        let known = annunciator.get();
-        for (alerts, _) in received.values_mut().filter(|(_, arrived)| now.since(*arrived) > SILENCE) {
-            known.stand_on(alerts);
-        }
         let nodes = std::iter::once(own.borrow_and_update().clone());
-        let active = contract::observatory::merge(nodes.chain(received.values().map(|(alerts, _)| alerts.clone())));
+        let active = contract::observatory::merge(nodes.chain(received.stand(&annunciator.get(), now)));
         if authority.is_publishing() {
             let began = *speaks_since.get_or_insert(now);
             let _ = orders.borrow_and_update();
@@ -81,11 +115,13 @@ async fn keep_merging(
             alerts = others.recv() => {
                 if let Key::Node(_, role, id, NodeTopic::Alerts) = alerts.key
                     && (role, &id) != (authority.node.role, &authority.node.id)
-                    && (received.len() < MOST_NODES || received.contains_key(&(role, id.clone())))
                 {
-                    let mut list = alerts.sample.body;
-                    list.alerts.truncate(MOST_ALERTS_OF_NODE);
-                    received.insert((role, id), (list, alerts.arrived));
+                    received.take((role, id), &alerts.sample.boot_id, alerts.sample.body, alerts.arrived);
+                }
+            }
+            state = states.recv() => {
+                if let Key::Node(_, role, id, NodeTopic::State) = state.key {
+                    received.observe((role, id), &state.sample.boot_id, &state.sample.body);
                 }
             }
             changed = own.changed() => changed?,
@@ -114,4 +150,44 @@ fn observe(
         is_new
     });
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::node::Stopped;
+
+    use super::*;
+
+    fn state(stopped: Option<Option<bool>>) -> NodeState {
+        let role = Role::Device;
+        let stopped = stopped.map(|closed| Stopped { by: "a signal on pc".to_owned(), closed });
+        let (version, host, figures) = Default::default();
+        NodeState { role, version, host, pid: 1, uptime_s: 1.0, speed: 1.0, figures, stopped }
+    }
+
+    #[test]
+    fn the_alerts_of_a_node_end_with_its_end_in_good_order_and_not_with_its_silence() {
+        let at = |second| MachineTime::from_boot(Duration::from_secs(second));
+        let guest = || (Role::Device, "guest".parse::<Name>().unwrap());
+        let boot_id = |text: &str| serde_json::from_value::<BootId>(text.into()).unwrap();
+        let list = || {
+            let alerts = vec![AlertKind::DomeNotClosed.alert("dome", Utc::EPOCH, "c")];
+            Alerts { alerts, ..Alerts::default() }
+        };
+        for (last, stands) in [(None, 1), (Some(None), 0), (Some(Some(true)), 0), (Some(Some(false)), 1)] {
+            let (first, second) = (boot_id("first"), boot_id("second"));
+            let mut lists = OtherLists::default();
+            let count = |lists: &mut OtherLists, second| {
+                lists.stand(&Annunciator::default(), at(second)).map(|list| list.alerts.len()).sum::<usize>()
+            };
+            lists.take(guest(), &first, list(), at(100));
+            assert_eq!(count(&mut lists, 101), 1);
+            lists.observe(guest(), &first, &state(last));
+            assert_eq!(count(&mut lists, 9000), stands, "{last:?}");
+            lists.take(guest(), &first, list(), at(101));
+            assert_eq!(count(&mut lists, 9000), stands, "{last:?}: what it sent before its end arrives after it");
+            lists.take(guest(), &second, list(), at(9000));
+            assert_eq!(count(&mut lists, 9001), 1, "{last:?}: it was started again");
+        }
+    }
 }

@@ -3,6 +3,7 @@
 use contract::Address;
 use contract::command::operator;
 use interlock::takeover::last_order;
+use safety::on_disk::OnDisk;
 use safety::ordered_by::OrderedBy;
 use units::Utc;
 
@@ -10,8 +11,9 @@ use crate::active_orders;
 use crate::journal::{self, Journal};
 
 /// One line, by the files of the data folder; `None` for the shared devices of a site, which begin nothing. A node on
-/// another host that commands may know of newer orders.
-pub fn words(config: &config::Observatory, now: Utc) -> Option<String> {
+/// another host that commands may know of newer orders. `was_commanded`: the guard process of a dome remembers that somebody
+/// commanded before.
+pub fn words(config: &config::Observatory, was_commanded: bool, now: Utc) -> Option<String> {
     let address = config.address();
     if address.telescope.as_str() == Address::SHARED {
         return None;
@@ -21,7 +23,11 @@ pub fn words(config: &config::Observatory, now: Utc) -> Option<String> {
         Ok(turned) => turned,
         Err(error) => return Some(format!("{address} opens nothing: cannot read {}: {error}", path.display())),
     };
-    let held = active_orders::look(&active_orders::path(config)).orders(now).stay_closed;
+    let file = active_orders::path(config);
+    let held = match active_orders::look(&file) {
+        OnDisk::Absent if was_commanded => Some(OrderedBy::by_node(format!("{} is gone", file.display()), now)),
+        disk => disk.orders(now).stay_closed,
+    };
     Some(told(&address, last_order(turned, now), config.schedule.robotic, held.as_ref()))
 }
 
@@ -61,7 +67,7 @@ mod tests {
         let mut config = config::parse(test_support::PARANAL, folder.path()).unwrap();
         let mut read = |robotic: bool, now_s: f64| {
             config.schedule.robotic = robotic;
-            words(&config, Utc::from_seconds(now_s)).unwrap()
+            words(&config, false, Utc::from_seconds(now_s)).unwrap()
         };
         let (tonight_s, tomorrow_s) = (2_000.0, 90_000.0);
         let off =
@@ -81,6 +87,16 @@ mod tests {
         let lost = read(false, tonight_s);
         assert!(lost.contains("stays closed until `starmesh order paranal/callisto open-again`"), "{lost}");
         assert_eq!(std::fs::read_dir(&data).unwrap().count(), 2, "no copy is kept");
+    }
+
+    #[test]
+    fn a_telescope_that_somebody_commanded_before_and_whose_orders_are_gone_stays_closed() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = config::parse(test_support::PARANAL, folder.path()).unwrap();
+        config.schedule.robotic = true;
+        let words = words(&config, true, Utc::from_seconds(0.0)).unwrap();
+        let why = "operator-orders-callisto.json is gone)";
+        assert!(words.contains("stays closed until ") && words.ends_with(why), "{words}");
     }
 
     #[test]

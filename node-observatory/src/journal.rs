@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use contract::CommandId;
@@ -11,6 +12,8 @@ use contract::observatory::RowStatus;
 use schedule::RowId;
 use serde::{Deserialize, Serialize};
 use units::Utc;
+
+use crate::persisted::named;
 
 /// One line of the file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -59,6 +62,10 @@ impl JournalLine {
             | Self::Again { at_utc, .. }
             | Self::Robotic { at_utc, .. } => *at_utc,
         }
+    }
+
+    fn is_switch(&self) -> bool {
+        matches!(self, Self::Robotic { .. })
     }
 }
 
@@ -126,6 +133,8 @@ pub struct Journal {
     path: PathBuf,
     /// Open for the one that commands.
     file: Mutex<Option<File>>,
+    /// The disk may have taken half of the newest line, which the next one must not go on.
+    is_cut: AtomicBool,
     records: Mutex<Records>,
 }
 
@@ -144,7 +153,8 @@ impl Journal {
             std::fs::create_dir_all(folder)?;
         }
         let records = Records::of(&read(path)?.0);
-        Ok(Self { path: path.to_owned(), file: Mutex::new(None), records: Mutex::new(records) })
+        let (file, is_cut) = Default::default();
+        Ok(Self { path: path.to_owned(), file, is_cut, records: Mutex::new(records) })
     }
 
     /// Learns what another node wrote meanwhile, drops what is old, and makes the file this node's own.
@@ -300,14 +310,30 @@ impl Journal {
     }
 
     /// The robotic switch was turned off: that counts at once whatever the disk does, and is on disk when
-    /// [`Journal::arrive`] returns.
-    pub fn robotic_off(&self, at_utc: Utc) -> Sent {
-        self.send(JournalLine::Robotic { at_utc, on: false })
+    /// [`Journal::write_switch`] has succeeded.
+    pub fn robotic_off(&self, at_utc: Utc) {
+        let Sent(_) = self.send(JournalLine::Robotic { at_utc, on: false });
+    }
+
+    /// Puts on disk that the robotic switch was turned off, unless it is there or was turned on since. Blocks.
+    ///
+    /// # Errors
+    ///
+    /// The disk does not take it; the error names the file.
+    pub fn write_switch(&self) -> io::Result<()> {
+        let unwritten = || self.records().on_the_way.iter().find(|line| line.is_switch()).cloned();
+        while let Some(line) = unwritten() {
+            self.put_down(&line).map_err(|error| named(&self.path, &error))?;
+            self.records().on_the_way.retain(|sent| *sent != line);
+        }
+        Ok(())
     }
 
     /// The robotic switch is turned on: that counts only once it is on disk.
     pub fn robotic_on(&self, at_utc: Utc) -> io::Result<()> {
-        self.learn_when_written(JournalLine::Robotic { at_utc, on: true })
+        self.learn_when_written(JournalLine::Robotic { at_utc, on: true })?;
+        self.records().on_the_way.retain(|sent| !sent.is_switch());
+        Ok(())
     }
 
     fn learn_when_written(&self, line: JournalLine) -> io::Result<()> {
@@ -350,13 +376,16 @@ impl Journal {
     }
 
     fn put_down(&self, line: &JournalLine) -> io::Result<()> {
-        let mut text = serde_json::to_string(line)?;
-        text.push('\n');
-        match &mut *self.file.lock().unwrap_or_else(PoisonError::into_inner) {
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        // After a new line where the last one may be half of what a crash or a full disk left.
+        let begin = if file.is_none() || self.is_cut.load(Ordering::SeqCst) { "\n" } else { "" };
+        let text = format!("{begin}{}\n", serde_json::to_string(line)?);
+        let there = match &mut *file {
             Some(file) => append(file, &text),
-            // After a new line: the last one may be half of what a crash left.
-            None => append(&mut OpenOptions::new().append(true).create(true).open(&self.path)?, &format!("\n{text}")),
-        }
+            None => append(&mut OpenOptions::new().append(true).create(true).open(&self.path)?, &text),
+        };
+        self.is_cut.store(there.is_err(), Ordering::SeqCst);
+        there
     }
 }
 

@@ -141,11 +141,37 @@ fn the_robotic_switch_is_on_once_that_is_on_disk_and_off_at_once() {
     std::fs::remove_dir(&data).unwrap();
     assert!(journal.robotic_on(at(NOW)).is_err());
     assert_eq!(journal.last_robotic(), None);
-    assert!(journal.arrive(journal.robotic_off(at(NOW))).is_err());
+    journal.robotic_off(at(NOW));
+    let refused = journal.write_switch().unwrap_err().to_string();
+    assert!(refused.contains("j.jsonl: "), "{refused}");
     assert_eq!(journal.last_robotic(), Some((at(NOW), false)));
     std::fs::create_dir(&data).unwrap();
+    journal.write_switch().unwrap();
+    let on_disk = || Journal::last_robotic_in(&data.join("j.jsonl")).unwrap();
+    assert_eq!(on_disk(), Some((at(NOW), false)), "it is tried again");
+    // What was not written is over when it is turned on.
+    std::fs::remove_dir_all(&data).unwrap();
+    journal.robotic_off(at(NOW));
+    assert!(journal.write_switch().is_err());
+    std::fs::create_dir(&data).unwrap();
     journal.robotic_on(at(NOW)).unwrap();
-    assert_eq!(journal.last_robotic(), Some((at(NOW), true)));
+    journal.write_switch().unwrap();
+    assert_eq!((journal.last_robotic(), on_disk()), (Some((at(NOW), true)), Some((at(NOW), true))));
+}
+
+#[test]
+fn a_line_after_one_of_which_a_full_disk_took_half_is_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("j.jsonl");
+    let journal = own(&path);
+    // A file that takes nothing, and as much of the line as found room.
+    let well = journal.file.lock().unwrap().replace(File::open(&path).unwrap());
+    journal.robotic_off(at(NOW));
+    assert!(journal.write_switch().is_err());
+    OpenOptions::new().append(true).open(&path).unwrap().write_all(b"{\"is\":\"robotic\",\"at").unwrap();
+    *journal.file.lock().unwrap() = well;
+    journal.write_switch().unwrap();
+    assert_eq!(Journal::last_robotic_in(&path).unwrap(), Some((at(NOW), false)));
 }
 
 #[test]
@@ -158,7 +184,8 @@ fn who_takes_over_knows_what_was_done_and_the_one_before_disturbs_it_no_more() {
     first.sent(&row);
     first.taken(&frame, at(NOW)).unwrap();
     // An order that a standby received while nobody commanded.
-    standby.arrive(standby.robotic_off(at(NOW))).unwrap();
+    standby.robotic_off(at(NOW));
+    standby.write_switch().unwrap();
     standby.take_over().unwrap();
     assert_eq!((standby.progress(&row).taken, standby.last_robotic()), (1, Some((at(NOW), false))));
     // It was only stopped, and goes on.
@@ -324,7 +351,7 @@ fn an_end_counts_before_it_is_on_disk_and_a_new_lease_meanwhile_does_not_lose_it
     let journal = own(&path);
     journal.robotic_on(at(NOW)).unwrap();
     let ended = journal.end(&row, RowStatus::Finished, "done", at(NOW));
-    let off = journal.robotic_off(at(NOW));
+    journal.robotic_off(at(NOW));
     let is_known = || {
         let finished = Some((RowStatus::Finished, "done".to_owned()));
         journal.progress(&row).ended == finished && journal.last_robotic() == Some((at(NOW), false))
@@ -334,7 +361,7 @@ fn an_end_counts_before_it_is_on_disk_and_a_new_lease_meanwhile_does_not_lose_it
     journal.take_over().unwrap();
     assert!(is_known());
     journal.arrive(ended).unwrap();
-    journal.arrive(off).unwrap();
+    journal.write_switch().unwrap();
     assert!(is_known());
     let lines = std::fs::read_to_string(&path).unwrap();
     assert_eq!(lines.matches("\"ended\"").count(), 1);

@@ -7,6 +7,7 @@
 
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
+use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -22,6 +23,8 @@ use crate::hold::Hold;
 
 /// A disk that fails is tried again after this.
 const AGAIN: Duration = Duration::from_secs(2);
+/// One that does not answer for so long is an alert.
+const HANGS: Duration = Duration::from_secs(10);
 
 /// A value and its file.
 #[derive(Debug)]
@@ -148,18 +151,11 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Persisted<T> {
         *self.written.borrow() >= self.version.load(Ordering::SeqCst)
     }
 
-    /// Waits until every change made until now is on disk.
-    pub async fn on_disk(&self) {
-        let version = self.version.load(Ordering::SeqCst);
-        // The sender lives in self, so waiting cannot fail.
-        let _ = self.written.subscribe().wait_for(|written| *written >= version).await;
-    }
-
     /// Writes it, if it is not on disk yet.
     ///
     /// # Errors
     ///
-    /// The disk does not take it.
+    /// The disk does not take it; the error names the file.
     pub async fn write(&self) -> io::Result<()> {
         let pen = self.pen.clone().lock_owned().await;
         let (version, value) = self.snapshot();
@@ -167,33 +163,43 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Persisted<T> {
             return Ok(());
         }
         let (_pen, put) = self.put(pen, value).await;
-        put?;
+        put.map_err(|error| named(&self.path, &error))?;
         self.note_written(version);
         Ok(())
     }
 
-    /// Writes each change that was made at once, again and again until the disk takes it; a standby writes nothing.
+    /// Writes each change that was made at once, again and again until the disk takes it; a standby writes nothing. `what`
+    /// says in the alert what is not written.
     pub async fn keep_on_disk(
         self: Arc<Self>,
         alerts: NodeAlerts,
         mut hold: watch::Receiver<Hold>,
         alert: AlertKind,
-        what: &'static str,
+        what: fn(&T) -> String,
     ) -> anyhow::Result<()> {
         let mut live = self.subscribe();
+        let complain = |why: &str| {
+            alerts.raise(alert, "", &format!("{} cannot be written down: {why}", what(&self.get())));
+        };
         loop {
             if self.is_on_disk() {
                 alerts.clear(alert, "");
             } else if hold.borrow().may_publish() {
-                let error = self.write().await.err();
-                match &error {
-                    None => alerts.clear(alert, ""),
-                    Some(error) => alerts.raise(alert, "", &format!("{what} cannot be written down: {error}")),
-                }
-                if error.is_some() {
+                let mut writing = pin!(self.write());
+                let written = match tokio::time::timeout(HANGS, writing.as_mut()).await {
+                    Ok(written) => written,
+                    Err(_) => {
+                        let (path, waited_s) = (self.path.display(), HANGS.as_secs());
+                        complain(&format!("{path}: no answer of the disk within {waited_s} s"));
+                        writing.await
+                    }
+                };
+                if let Err(error) = written {
+                    complain(&error.to_string());
                     tokio::time::sleep(AGAIN).await;
                     continue;
                 }
+                alerts.clear(alert, "");
             }
             tokio::select! {
                 changed = live.changed() => changed?,
@@ -228,6 +234,11 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Persisted<T> {
         let put = tokio::task::spawn_blocking(move || (Some(pen), write_whole(&path, &part, &value))).await;
         put.unwrap_or_else(|error| (None, Err(io::Error::other(error))))
     }
+}
+
+/// The error of a disk, with the file.
+pub fn named(path: &Path, error: &io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("{}: {error}", path.display()))
 }
 
 /// Reads what an earlier incarnation wrote; the default if there is no file. If the file cannot be read, a copy of it
@@ -316,7 +327,8 @@ mod tests {
             true
         });
         assert_eq!(list.get(), [7]);
-        assert!(list.write().await.is_err() && !list.is_on_disk());
+        let refused = list.write().await.unwrap_err().to_string();
+        assert!(refused.contains("list.json: ") && !list.is_on_disk(), "{refused}");
         std::fs::remove_dir(&part).unwrap();
         list.write().await.unwrap();
         assert!(list.is_on_disk());

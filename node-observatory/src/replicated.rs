@@ -78,12 +78,10 @@ impl<T: Replicate> Replicated<T> {
         tasks.spawn(T::FILE, async move {
             let key = authority.key(T::PART);
             let payloads = authority.node.bus.latest::<T::Payload>(&key).await?;
-            let on_disk = saved.clone().keep_on_disk(
-                authority.node.alerts.clone(),
-                authority.hold.clone(),
-                T::NOT_SAVED,
-                T::WHAT,
-            );
+            let on_disk =
+                saved.clone().keep_on_disk(authority.node.alerts.clone(), authority.hold.clone(), T::NOT_SAVED, |_| {
+                    T::WHAT.to_owned()
+                });
             let in_payload = keep_in_payload(known, &state);
             let published = publishing::keep_publishing(authority.clone(), T::PART, state.subscribe());
             let received = follow_commander(&authority, payloads, |payload| saved.change(|known| known.adopt(payload)));

@@ -113,6 +113,7 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         names: known.clone(),
         versions: Versions::of(config),
         reload: watch::channel(0).0,
+        read: watch::channel(Default::default()).0,
         active: Default::default(),
         earlier_nights: Arc::default(),
     };

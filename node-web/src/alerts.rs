@@ -3,14 +3,17 @@
 use std::collections::BTreeMap;
 
 use bus::MachineTime;
-use contract::node::Stopped;
+use contract::node::fallen_silent;
 use contract::observatory::{Alert, AlertKind, Alerts, Priority, Standing};
 use contract::{Key, Name, NodeTopic, Part};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
+use serde_json::Value;
+use units::Utc;
 
 use crate::freshness::Quality;
-use crate::model::{Entry, Telescope};
+use crate::model::{Entry, Telescope, short};
+use crate::stopped::{StoppedTelescope, has_ended_well, is_over};
 
 /// Alerts whose cause is there, by priority.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, JsonSchema, Serialize)]
@@ -37,37 +40,49 @@ impl Counts {
 }
 
 /// Alerts of the observatory node and of each node itself, and one for each node that fell silent. `shared` are the alerts
-/// about what the site shares that count here as well.
+/// about what the site shares that count here as well. What a silent node of a telescope that was stopped and closed in good
+/// order reported last needs nobody any more.
 pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Vec<Alert> {
+    if is_over(telescope) {
+        return sorted(shared.into_iter());
+    }
+    let stopped = StoppedTelescope::of(telescope);
+    let is_closed = stopped.as_ref().is_some_and(StoppedTelescope::is_closed);
     let mut found: BTreeMap<String, Alert> = BTreeMap::new();
-    // The observatory node's own list contains what people did about each.
-    let (first, then): (Vec<_>, Vec<_>) =
-        telescope.states.values().partition(|entry| matches!(entry.key, Key::Observatory(..)));
-    for entry in first.into_iter().chain(then) {
-        match &entry.key {
-            Key::Observatory(_, Part::Alerts) | Key::Node(_, _, _, NodeTopic::Alerts) => {
-                let list = Alerts::deserialize(entry.body.as_ref()).unwrap_or_default();
-                for alert in list.alerts {
-                    // The observatory node merges the alerts of the other nodes: the same alert may come twice.
-                    let known = found.values().any(|a| a.cause == alert.cause && a.raised_utc == alert.raised_utc);
-                    if !known {
-                        found.entry(alert.id.clone()).or_insert(alert);
-                    }
-                }
+    // The observatory node's own list contains what people did about each. An end in good order takes it back.
+    let list = telescope.states.values().find(|entry| matches!(entry.key, Key::Observatory(_, Part::Alerts)));
+    let list = list.filter(|_| stopped.is_none_or(|stopped| stopped.closed == Some(false)));
+    for alert in list.map(published).unwrap_or_default() {
+        found.entry(alert.id.clone()).or_insert(alert);
+    }
+    let others_know = list.is_some_and(|list| list.quality(now) == Quality::Fresh);
+    for LastWord { mut alert, silent } in last_words(telescope, now) {
+        // The observatory node merges the alerts of the other nodes: the same alert may come twice.
+        if found.values().any(|a| a.cause == alert.cause && a.raised_utc == alert.raised_utc) {
+            continue;
+        }
+        if let Some(silent) = silent {
+            // It also merges those of the nodes that are silent, until a person has acknowledged them.
+            if others_know {
+                continue;
             }
-            // A node that was stopped in good order has reported that it would be silent.
-            Key::Node(_, role, id, NodeTopic::State)
-                if entry.quality(now) == Quality::Lost
-                    && stopped(entry).is_none_or(|stopped| stopped.closed == Some(false)) =>
-            {
-                let cause = format!("the {role} node {id} has fallen silent");
-                let alert = AlertKind::NodeSilent.alert(format_args!("{role}/{id}"), entry.at_utc, &cause);
-                // The observatory node notices it too, and knows who sees to it.
-                if found.get(&alert.id).is_none_or(|known| known.standing() == Standing::Gone) {
-                    found.insert(alert.id.clone(), alert);
-                }
+            if is_closed {
+                alert.returned_utc = alert.returned_utc.or(Some(silent.since));
             }
-            _ => {}
+            alert.cause += &silent.words;
+        }
+        found.entry(alert.id.clone()).or_insert(alert);
+    }
+    // After all lists: who published that a node is silent may know who sees to it.
+    for entry in telescope.states.values() {
+        let Key::Node(_, role, id, NodeTopic::State) = &entry.key else { continue };
+        if entry.quality(now) == Quality::Lost && !has_ended_well(entry) {
+            let host = entry.body.get("host").and_then(Value::as_str).unwrap_or_default();
+            let cause = fallen_silent(&format!("the {role} node {id}"), host);
+            let alert = AlertKind::NodeSilent.alert(format_args!("{role}/{id}"), entry.at_utc, &cause);
+            if found.get(&alert.id).is_none_or(|known| known.standing() == Standing::Gone) {
+                found.insert(alert.id.clone(), alert);
+            }
         }
     }
     for alert in shared {
@@ -76,25 +91,57 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
     sorted(found.into_values())
 }
 
+/// An alert as its node published it last.
+struct LastWord {
+    alert: Alert,
+    /// Where that node publishes no more.
+    silent: Option<Silent>,
+}
+
+#[derive(Clone)]
+struct Silent {
+    since: Utc,
+    /// What is added to its causes.
+    words: String,
+}
+
+/// What the nodes of a telescope published last of their alerts. An end in good order takes them back. Silence does not: the
+/// shutter that a dead node could not close is still open.
+fn last_words(telescope: &Telescope, now: MachineTime) -> impl Iterator<Item = LastWord> {
+    let of = move |entry: &Entry| {
+        let Key::Node(address, role, id, NodeTopic::Alerts) = &entry.key else { return Vec::new() };
+        let state = short(&Key::Node(address.clone(), *role, id.clone(), NodeTopic::State));
+        if telescope.states.get(&state).is_some_and(has_ended_well) {
+            return Vec::new();
+        }
+        let silent = (entry.quality(now) == Quality::Lost).then(|| Silent {
+            since: entry.at_utc,
+            words: format!("; last known, from the {role} node {id}, silent since {}", entry.at_utc.to_second()),
+        });
+        let last_word = |alert| LastWord { alert, silent: silent.clone() };
+        published(entry).into_iter().map(last_word).collect()
+    };
+    telescope.states.values().flat_map(of)
+}
+
+fn published(entry: &Entry) -> Vec<Alert> {
+    Alerts::deserialize(entry.body.as_ref()).unwrap_or_default().alerts
+}
+
 fn sorted(alerts: impl Iterator<Item = Alert>) -> Vec<Alert> {
     let mut alerts: Vec<Alert> = alerts.collect();
     Alert::sort_for_people(&mut alerts);
     alerts
 }
 
-/// How a node ended, where this is the last state of one that was asked to end.
-pub fn stopped(entry: &Entry) -> Option<Stopped> {
-    Stopped::deserialize(entry.body.get("stopped")?).ok()
-}
-
 /// Of the alerts that the nodes of a site's shared devices publish, those about these devices.
-pub fn about<'a>(shared: &Telescope, devices: impl Iterator<Item = &'a Name> + Clone) -> Vec<Alert> {
+pub fn about<'a>(shared: &Telescope, devices: impl Iterator<Item = &'a Name> + Clone, now: MachineTime) -> Vec<Alert> {
     let is_about = |alert: &Alert| devices.clone().any(|name| alert.id.split('/').any(|part| part == name.as_str()));
-    let of = |entry: &Entry| match &entry.key {
-        Key::Node(_, _, _, NodeTopic::Alerts) => Alerts::deserialize(entry.body.as_ref()).unwrap_or_default().alerts,
-        _ => Vec::new(),
-    };
-    sorted(shared.states.values().flat_map(of).filter(is_about))
+    let told = last_words(shared, now).map(|LastWord { mut alert, silent }| {
+        alert.cause += silent.as_ref().map_or("", |silent| silent.words.as_str());
+        alert
+    });
+    sorted(told.filter(is_about))
 }
 
 #[cfg(test)]
@@ -103,7 +150,7 @@ mod tests {
 
     use bus::Clock;
     use contract::Address;
-    use serde_json::{Value, json};
+    use serde_json::json;
 
     use super::*;
     use crate::model::tests::received;
@@ -114,10 +161,16 @@ mod tests {
     }
 
     fn shown(samples: &[(&str, Value)], now_s: u64) -> Vec<Alert> {
+        shown_at(&samples.iter().map(|(key, body)| (*key, 100, body.clone())).collect::<Vec<_>>(), now_s)
+    }
+
+    /// With the second in which each sample came.
+    fn shown_at(samples: &[(&str, u64, Value)], now_s: u64) -> Vec<Alert> {
         let address = Address::new("paranal", "callisto").unwrap();
         let network = Network::new(Clock::machine_clock(), address.clone());
-        for (key, body) in samples {
-            network.accept(received(&format!("paranal/callisto/{key}"), "b", 0, 100, body.clone()));
+        for (key, at_s, body) in samples {
+            let boot = format!("b{at_s}");
+            network.accept(received(&format!("paranal/callisto/{key}"), &boot, 0, *at_s, body.clone()));
         }
         let now = MachineTime::from_boot(Duration::from_secs(now_s));
         active(&network.read().telescopes[&address], Vec::new(), now)
@@ -180,5 +233,50 @@ mod tests {
         assert!(of(json!({ "by": "starmesh up on dome-pc", "closed": true })).is_empty());
         assert!(of(json!({ "by": "starmesh up on dome-pc" })).is_empty());
         assert_eq!(of(json!({ "by": "a signal on dome-pc", "closed": false })), ["node-silent/device/enclosure"]);
+    }
+
+    /// The alert of a device node of another account, which the observatory node does not hold; what became of that node.
+    #[test]
+    fn an_alert_ends_with_its_node_and_of_one_that_is_silent_it_is_the_last_that_is_known() {
+        let alerts = "node/device/guest/alerts";
+        let raised = || json!({ "alerts": [alert("dome-not-closed/dome", "critical")] });
+        let told = |state: Value, more: &[(&str, u64, Value)], now_s| {
+            let own = [("node/device/guest/state", 100, state), (alerts, 100, raised())];
+            let shown = shown_at(&[&own[..], more].concat(), now_s);
+            let found = shown.into_iter().find(|alert| alert.id == "dome-not-closed/dome");
+            found.map(|alert| (alert.standing(), alert.cause))
+        };
+        let stopped = |closed: bool| json!({ "stopped": { "by": "a signal on pc", "closed": closed } });
+        let own = |cause: &str| Some((Standing::Active, cause.to_owned()));
+        assert_eq!(told(json!({}), &[], 101), own("c"));
+        let last = "c; last known, from the device node guest, silent since 2027-01-15 08:01:40 UTC";
+        assert_eq!(told(json!({}), &[], 9000), own(last), "silence takes nothing back");
+        let list = ("observatory/alerts/state", 190, raised());
+        let over = [list, ("node/observatory/main/state", 200, stopped(true))];
+        let gone = Some((Standing::Gone, last.to_owned()));
+        assert_eq!(told(json!({}), &over, 9000), gone, "all that closes was closed in good order since");
+        assert_eq!(told(stopped(true), &[], 101), None, "it ended in good order");
+        assert_eq!(told(stopped(false), &[], 9000), own(last), "it left something open");
+        let merged = [("observatory/alerts/state", 9000, json!({ "alerts": [] }))];
+        assert_eq!(told(json!({}), &merged, 9000), None, "a person has acknowledged it");
+        assert_eq!(told(json!({}), &merged, 9100), own(last), "nobody holds it any more");
+        let again = [(alerts, 9000, json!({ "alerts": [] }))];
+        assert_eq!(told(json!({}), &again, 9000), None, "it was started again");
+    }
+
+    #[test]
+    fn a_silent_node_has_the_text_of_the_node_that_published_its_silence() {
+        let cause = "the device node main on host \"dome-pc\" has fallen silent";
+        let state = || ("node/device/main/state", 100, json!({ "host": "dome-pc" }));
+        let found = |more: &[(&str, u64, Value)]| {
+            let shown = shown_at(&[&[state()][..], more].concat(), 130);
+            shown.into_iter().map(|alert| (alert.id, alert.cause)).collect::<Vec<_>>()
+        };
+        let wanted = [("node-silent/device/main".to_owned(), cause.to_owned())];
+        assert_eq!(found(&[]), wanted);
+        let mut published = alert("node-silent/device/main", "high");
+        published["cause"] = json!("as it was published");
+        let list = ("node/web/main/alerts", 129, json!({ "alerts": [published] }));
+        assert_eq!(found(&[list])[0].1, "as it was published");
     }
 }

@@ -27,7 +27,7 @@ pub enum Progress {
     Done,
     /// The observatory node does not do it.
     Refused,
-    /// It was accepted, and what it ordered was not seen done in time.
+    /// It was accepted, and what it ordered was not seen done in time, or holds and is not on disk: `detail` says which.
     Failed,
     /// Nobody answered: whether it was done is unknown.
     Unknown,

@@ -63,6 +63,7 @@ mod schedules;
 mod server;
 mod shrink;
 mod socket;
+mod stopped;
 mod summary;
 mod tls;
 mod user_audit;
@@ -105,21 +106,22 @@ const SECOND: Duration = Duration::from_secs(1);
 /// Serves the page until the node is stopped.
 pub async fn run(node: node::Node) -> anyhow::Result<()> {
     let web = &node.config.web;
-    let Some(Ready { listener, tls, renewal }) = get_ready(&node).await else { return Ok(()) };
-    let address = listener.local_addr()?;
-    let authentication = Authentication::new(web)?;
-
     let network = Arc::new(network::Network::new(node.bus.clock().clone(), &node.config.place));
     let previews = Arc::new(preview::Previews::new(network.clone())?);
     let host = Arc::new(host::Host::default());
     let mut tasks = JoinSet::new();
+    // Before the page has its address: a node that is stopped meanwhile says so once, and alerts are sent without a page.
     receive::everything(&node.bus, &network, &previews, &mut tasks).await?;
     tasks.spawn(previews.clone().make());
     tasks.spawn(host.clone().measure(node.config.folders.data.clone()));
     tasks.spawn(forget(network.clone()));
-    let audit = Audit::start(&node).await?;
     let push = push::open(&node)?;
     tasks.spawn(notify::keep_substituting(node.clone(), Some(push.clone())));
+
+    let Some(Ready { listener, tls, renewal }) = get_ready(&node).await else { return Ok(()) };
+    let address = listener.local_addr()?;
+    let authentication = Authentication::new(web)?;
+    let audit = Audit::start(&node).await?;
     tasks.spawn(push::follow_users(push.clone(), authentication.clone(), node.config.address()));
     tasks.spawn(authentication.clone().follow(node.alerts.clone(), address));
     tasks.spawn(renewal);

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use bus::MachineTime;
 use contract::device::camera::Frame;
-use contract::node::{NodeState, Stopped};
+use contract::node::NodeState;
 use contract::observatory::{
     ActionNow, Alert, GuidingState, NightState, OperatorOrders, Posture, Priority, RowStatus, SafetyState,
-    ScheduleState,
+    ScheduleState, Standing,
 };
 use contract::{Address, Chunk, Key, NodeTopic, Part, Role};
 use overview::{DomeView, Seen};
@@ -18,12 +18,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 use units::Utc;
 
-use crate::alerts::{Counts, about, active, stopped};
+use crate::alerts::{Counts, about, active};
 use crate::domes;
 use crate::freshness::Quality;
 use crate::model::{Entry, Model, Telescope, Unreadable};
 use crate::place::PlaceOnEarth;
 use crate::safety::{self, Safety};
+use crate::stopped::{StoppedTelescope, is_over, stopped};
 
 /// A tile of the overview, and the head of the telescope page.
 #[derive(Debug, Clone, JsonSchema, Serialize)]
@@ -94,9 +95,13 @@ pub struct Face {
     pub alerts: Vec<Alert>,
     /// Alerts whose cause is there, by priority.
     pub alert_counts: Counts,
-    /// How much safety and posture together concern an operator; absent when all is well.
+    /// How much the telescope concerns an operator: safety and posture together, and never less than the most urgent alert that
+    /// needs somebody; absent when all is well.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub concern: Option<Priority>,
+    /// How much safety and posture alone do.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub safety_concern: Option<Priority>,
     /// Known devices, and those without link or silent.
     pub device_count: Heads,
     /// Known nodes, and those that fell silent.
@@ -131,23 +136,6 @@ pub struct Ages {
     pub image_age_s: Option<f64>,
     /// The observatory node's own time of its newest payload.
     pub reported_utc: Option<Utc>,
-}
-
-/// A telescope whose observatory nodes were stopped in good order.
-#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize)]
-pub struct StoppedTelescope {
-    /// What stopped it, and whether it was closed then, in words.
-    pub text: String,
-    /// Everything that closes was verified closed; absent where nothing of it closes, or a node of it still runs.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub closed: Option<bool>,
-}
-
-impl StoppedTelescope {
-    /// Everything that closes was verified closed, so that its silence is no fault.
-    pub fn is_closed(&self) -> bool {
-        self.closed == Some(true)
-    }
 }
 
 /// The source of the posture of a telescope.
@@ -288,12 +276,12 @@ impl Summary {
             entry.at_utc.seconds_since(state.since_utc) / speed + entry.age(now).as_secs_f64()
         });
         let names = domes.iter().filter(|view| view.dome.address != *address).map(|view| &view.dome.name);
-        let stopped = stopped_telescope(telescope);
+        let stopped = StoppedTelescope::of(telescope);
         let is_stopped_closed = stopped.as_ref().is_some_and(StoppedTelescope::is_closed);
         let nodes = nodes(telescope, now);
-        let of_shared = site.map(|site| about(site, names)).unwrap_or_default();
-        let was_ended = is_over(telescope, now);
-        let alerts = if was_ended { of_shared } else { active(telescope, of_shared, now) };
+        let of_shared = site.map(|site| about(site, names, now)).unwrap_or_default();
+        let was_ended = is_over(telescope);
+        let alerts = active(telescope, of_shared, now);
         let fresh_safety = safety.as_ref().filter(|(entry, _)| entry.quality(now) == Quality::Fresh).map(|(_, s)| s);
         let schedule = telescope.read::<ScheduleState>(&part(Part::Schedule)).map(|(_, schedule)| schedule);
         let orders = telescope.read::<OperatorOrders>(&part(Part::OperatorOrders)).map(|(_, orders)| orders);
@@ -304,8 +292,15 @@ impl Summary {
             safety: fresh_safety,
             schedule: schedule.as_ref(),
             orders: orders.as_ref(),
+            alerts: &alerts,
             silent_since,
         };
+        let safety_concern = match quality {
+            _ if shared || is_stopped_closed => None,
+            Quality::Never if posture_by == Reporter::Nobody => None,
+            _ => safety::concern(words.state, posture, held_s),
+        };
+        let needs_somebody = alerts.iter().filter(|alert| alert.standing() == Standing::Active);
         let image = telescope.image.as_ref();
         let place = model.place(address).map(|(place, _)| place);
         let face = Face {
@@ -316,11 +311,9 @@ impl Summary {
             night: place.map(|place| sky::night_date(place.longitude_east(), utc).to_string()),
             shared,
             quality,
-            concern: match quality {
-                _ if shared || is_stopped_closed => None,
-                Quality::Never if posture_by == Reporter::Nobody => None,
-                _ => safety::concern(words.state, posture, held_s),
-            },
+            // The most urgent priority is the least.
+            concern: needs_somebody.map(|alert| alert.priority).chain(safety_concern).min(),
+            safety_concern,
             safety: words,
             posture,
             posture_by,
@@ -388,33 +381,6 @@ pub fn nodes(telescope: &Telescope, now: MachineTime) -> Vec<NodeSummary> {
         _ => None,
     };
     telescope.states.values().filter_map(of).collect()
-}
-
-/// Whether all observatory nodes of a telescope that are known have ended in good order, and what they left.
-fn stopped_telescope(telescope: &Telescope) -> Option<StoppedTelescope> {
-    let of_role = |wanted: Role| {
-        telescope
-            .states
-            .values()
-            .filter(move |entry| matches!(&entry.key, Key::Node(_, role, _, NodeTopic::State) if *role == wanted))
-    };
-    let mut observatories = of_role(Role::Observatory).map(stopped).collect::<Option<Vec<_>>>()?;
-    let last = observatories.pop()?;
-    // What an enclosure's own node reports last counts more than what the observatory node saw before.
-    let enclosures = of_role(Role::Device).filter_map(stopped).filter_map(|stopped| stopped.closed);
-    let all: Vec<bool> = observatories.iter().chain([&last]).filter_map(|stopped| stopped.closed).collect();
-    let enclosures: Vec<bool> = enclosures.collect();
-    let known = if enclosures.is_empty() { all } else { enclosures };
-    let closed = (!known.is_empty()).then(|| known.iter().all(|closed| *closed));
-    let text = Stopped { closed, ..last }.to_string();
-    Some(StoppedTelescope { text, closed })
-}
-
-/// Was it stopped in good order, and nothing stands open? What its nodes reported last is over then; a device node that goes
-/// on may report that again.
-pub fn is_over(telescope: &Telescope, now: MachineTime) -> bool {
-    stopped_telescope(telescope).is_some_and(|stopped| stopped.is_closed())
-        && nodes(telescope, now).iter().all(|node| node.state.ended_well())
 }
 
 /// Pixels become arcsec by the scale of the newest solved frame of the same camera.

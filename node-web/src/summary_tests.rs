@@ -134,3 +134,31 @@ fn the_alerts_of_a_shared_dome_stand_at_its_telescope_whether_or_not_the_observa
     let all = vec![station.clone(), dome];
     assert_eq!(told(&address.shared()), (all, vec![station], 0), "what stands at a telescope is not told again");
 }
+
+#[test]
+fn the_concern_is_never_less_than_the_most_urgent_alert_that_needs_somebody() {
+    let address = Address::new("paranal", "callisto").unwrap();
+    let golden = |text: &str| -> Value { serde_json::from_str(text).unwrap() };
+    let told = |verdict: &str, alerts: &[(&str, Option<&str>)]| {
+        let mut night = golden(include_str!("../../common/contract/golden/v1/observatory.night.json"));
+        let mut safety = golden(include_str!("../../common/contract/golden/v1/observatory.safety.json"));
+        (night["posture"], safety["verdict"]) = (json!("closed"), json!(verdict));
+        let alert = |(priority, acknowledged_by): &(&str, Option<&str>)| {
+            json!({ "id": priority, "priority": priority, "raised_utc": "2026-11-21T03:00:00Z", "cause": priority,
+                "consequence": "", "action": "", "acknowledged_by": acknowledged_by })
+        };
+        let alerts = json!({ "alerts": alerts.iter().map(alert).collect::<Vec<_>>() });
+        let network = Network::new(Clock::machine_clock(), address.clone());
+        for (part, body) in [("night", night), ("safety", safety), ("alerts", alerts)] {
+            network.accept(received(&format!("paranal/callisto/observatory/{part}/state"), "b", 0, 100, body));
+        }
+        let model = network.read();
+        let now = MachineTime::from_boot(Duration::from_secs(101));
+        let face = Summary::of(&model, &address, &model.telescopes[&address], now, Utc::EPOCH).face;
+        (face.concern, face.safety_concern)
+    };
+    assert_eq!(told("safe", &[]), (None, None));
+    assert_eq!(told("safe", &[("medium", None), ("high", None)]), (Some(Priority::High), None));
+    assert_eq!(told("unsafe", &[("critical", None)]), (Some(Priority::Critical), None), "unsafe and closed");
+    assert_eq!(told("safe", &[("high", Some("web/ana")), ("medium", None)]), (Some(Priority::Medium), None));
+}

@@ -3,7 +3,7 @@
 use clap::Args;
 use contract::Address;
 
-use crate::running;
+use crate::{connect, running};
 
 /// Where the bus is.
 #[derive(Debug, Clone, Args)]
@@ -41,7 +41,8 @@ impl Join {
             false => "the local network, by multicast",
         };
         if !self.connect.is_empty() {
-            return format!("looked at {} (--connect) and {multicast}", self.connect.join(", "));
+            let found: Vec<String> = self.connect.iter().map(|endpoint| connect::found_at(endpoint)).collect();
+            return format!("looked at {} (--connect) and {multicast}; {}", self.connect.join(", "), found.join("; "));
         }
         let here: Vec<String> = running::all().iter().map(ToString::to_string).collect();
         let here = match here.as_slice() {

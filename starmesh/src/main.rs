@@ -7,6 +7,7 @@ mod bus_address;
 mod catalogues;
 mod check;
 mod compress;
+mod connect;
 mod console;
 mod demo;
 mod discover;

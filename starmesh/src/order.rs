@@ -247,7 +247,9 @@ async fn close(bus: &bus::Bus, address: &Address, order: &Order, waits: Waits, j
             }
             Err(NotDone::NotAccepted(error)) => return Err(refused(&error)),
             Err(error @ NotDone::Replaced(_)) => bail!("it was only closed: {}", printable(&error.to_string())),
-            Err(NotDone::NotClosed(error)) => bail!("{}", printable(&error.to_string())),
+            Err(error @ (NotDone::NotClosed(_) | NotDone::NotWritten { .. })) => {
+                bail!("{}", printable(&error.to_string()))
+            }
         };
     }
 }

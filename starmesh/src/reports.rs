@@ -30,6 +30,8 @@ pub struct Reports(mpsc::Sender<End>);
 struct End {
     node: String,
     how: String,
+    /// When it is started again, in words.
+    next: String,
     is_hung: bool,
 }
 
@@ -40,10 +42,11 @@ impl Reports {
         (Self(sender), publish(bus.clone(), address, ends))
     }
 
-    /// A node ended and nobody had asked it to.
-    pub fn ended(&self, role: Role, id: &str, how: &str, is_hung: bool) {
+    /// A node ended and nobody had asked it to; `next` says when it is started again, such as `in 60 s`.
+    pub fn ended(&self, role: Role, id: &str, how: &str, next: &str, is_hung: bool) {
+        let (node, how, next) = (format!("{role}/{id}"), printable(how).into_owned(), next.to_owned());
         // A full queue is one of a bus that takes nothing; the console has the line.
-        let _ = self.0.try_send(End { node: format!("{role}/{id}"), how: printable(how).into_owned(), is_hung });
+        let _ = self.0.try_send(End { node, how, next, is_hung });
     }
 }
 
@@ -63,7 +66,8 @@ async fn publish(bus: Bus, address: Address, mut ends: mpsc::Receiver<End>) -> a
             match end {
                 Ok(Some(end)) => {
                     lines.put(line(&end)).await?;
-                    nodes.entry(end.node.clone()).or_default().take(end.is_hung, end.how, now);
+                    let last = format!("{}, started again {}", end.how, end.next);
+                    nodes.entry(end.node).or_default().take(end.is_hung, last, now);
                 }
                 Ok(None) => return Ok(()),
                 Err(_) => {}
@@ -88,7 +92,10 @@ fn line(end: &End) -> DiaryLine {
     DiaryLine {
         level: Level::Error,
         target: "starmesh::up".to_owned(),
-        message: format!("the node {} ended without being asked to ({}); it is started again", end.node, end.how),
+        message: format!(
+            "the node {} ended without being asked to ({}); it is started again {}",
+            end.node, end.how, end.next
+        ),
         fields: fields.into(),
     }
 }
@@ -102,10 +109,10 @@ struct Counted {
 }
 
 impl Counted {
-    fn take(&mut self, is_hung: bool, how: String, now: MachineTime) {
+    fn take(&mut self, is_hung: bool, last: String, now: MachineTime) {
         self.ends.take(seconds(now));
         self.hung_at = if is_hung { Some(now) } else { self.hung_at };
-        self.last = how;
+        self.last = last;
     }
 
     /// Why a person must know, if one must.
@@ -168,13 +175,18 @@ mod tests {
         let (reports, work) = Reports::start(&own, address.clone());
         let work = tokio::spawn(work);
         for _ in 0..MANY {
-            reports.ended(Role::Archive, "main", "signal: 9 (SIGKILL)", false);
+            reports.ended(Role::Archive, "main", "signal: 9 (SIGKILL)", "in 60 s", false);
         }
         let limit = Duration::from_secs(60);
         let received = async {
             let line = lines.recv().await.sample.body;
-            assert!(line.message.contains("archive/main") && line.message.contains("SIGKILL"), "{line:?}");
-            while !alerts.recv().await.sample.body.alerts.iter().any(|alert| alert.id == "node-ends/archive/main") {}
+            let wanted =
+                "the node archive/main ended without being asked to (signal: 9 (SIGKILL)); it is started again in 60 s";
+            assert_eq!(line.message, wanted);
+            let is_raised = |alert: &contract::observatory::Alert| {
+                alert.id == "node-ends/archive/main" && alert.cause.ends_with("SIGKILL), started again in 60 s")
+            };
+            while !alerts.recv().await.sample.body.alerts.iter().any(is_raised) {}
         };
         tokio::time::timeout(limit, received).await.unwrap();
         drop(reports);

@@ -1,5 +1,8 @@
 //! `starmesh status`: prints all telescopes on the bus, the activity of each, why it is not safe, and its alerts.
 
+mod shared;
+mod words;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
@@ -14,6 +17,7 @@ use contract::{Address, Device, DeviceState, Key, Kind, NodeTopic, Part, Role, S
 use overview::{DomeView, PublishedGuard, Seen, length};
 use units::Utc;
 
+use self::words::{alert_words, reason_words, sky_word};
 use crate::console::{foreign_line, line};
 use crate::join::Join;
 
@@ -62,6 +66,8 @@ struct Found {
     domes: BTreeMap<Device, Option<Shutter>>,
     /// The newest sample of each guard; guards answer no question.
     guards: BTreeMap<Device, Stamped<dome::Guard>>,
+    /// What sites share, each in words.
+    sensors: BTreeMap<Device, String>,
 }
 
 /// Asks all nodes and prints the table.
@@ -75,7 +81,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let mut known = 0;
     while Instant::now() < until {
         found.ask(&bus).await;
-        if !found.telescopes.is_empty() && found.telescopes.len() == known && found.all_report() {
+        if found.telescopes.len() == known && found.all_report() {
             break;
         }
         known = found.telescopes.len();
@@ -83,7 +89,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     }
     bus.close().await;
     found.add_telescopes_of_guards();
-    if found.telescopes.keys().all(is_shared) {
+    if found.telescopes.is_empty() {
         anyhow::bail!("no telescope answered within {} s; {}", options.seconds, options.join.tried());
     }
     line(format_args!(
@@ -91,7 +97,11 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         "TELESCOPE", "SAFETY", "POSTURE", "MODE", "SKY", "ALERTS"
     ))?;
     for (address, status) in &found.telescopes {
-        for text in status.lines(address, &found.domes_over(address), &found.of_shared(address)) {
+        let lines = match is_shared(address) {
+            true => shared::lines(address, status, &found.sensors),
+            false => status.lines(address, &found.domes_over(address), &found.of_shared(address)),
+        };
+        for text in lines {
             foreign_line(format_args!("{text}"))?;
         }
     }
@@ -103,10 +113,12 @@ impl Found {
         self.telescopes.entry(key.address().clone()).or_default()
     }
 
-    /// Has every telescope an observatory node that publishes, also its alerts?
+    /// Is there a telescope, and has every one an observatory node that publishes, also its alerts?
     fn all_report(&self) -> bool {
-        let mut telescopes = self.telescopes.iter().filter(|(address, _)| !is_shared(address));
-        telescopes.all(|(_, status)| status.night.is_some() && status.merged.is_some())
+        let telescopes = self.telescopes.iter().filter(|(address, _)| !is_shared(address));
+        let reports: Vec<bool> =
+            telescopes.map(|(_, status)| status.night.is_some() && status.merged.is_some()).collect();
+        !reports.is_empty() && !reports.contains(&false)
     }
 
     /// Asks for all states at once: a node that hangs costs the time of one question.
@@ -118,7 +130,7 @@ impl Found {
             Topic::Node(NodeTopic::Alerts).everywhere(),
             Topic::State.everywhere().of_kind(Kind::Dome),
         );
-        let (nodes, own, domes, nights, verdicts, schedules, orders, alerts) = tokio::join!(
+        let (nodes, own, domes, nights, verdicts, schedules, orders, alerts, sensors) = tokio::join!(
             bus.get_all::<NodeState>(nodes, timeout),
             bus.get_all::<Alerts>(own, timeout),
             bus.get_all::<DeviceState<dome::Fields>>(domes, timeout),
@@ -127,7 +139,9 @@ impl Found {
             bus.get_all::<ScheduleState>(part(Part::Schedule), timeout),
             bus.get_all::<OperatorOrders>(part(Part::OperatorOrders), timeout),
             bus.get_all::<Alerts>(part(Part::Alerts), timeout),
+            shared::sensors(bus, timeout),
         );
+        self.sensors.extend(sensors);
         for (key, sample) in nodes {
             let Key::Node(_, role, id, _) = &key else { continue };
             let node = (*role, id.to_string());
@@ -222,9 +236,6 @@ fn is_shared(address: &Address) -> bool {
 impl Status {
     /// The telescope's line of the table, and a line for each reason.
     fn lines(&self, address: &Address, domes: &[DomeView], of_shared: &[Alert]) -> Vec<String> {
-        if is_shared(address) {
-            return Vec::new();
-        }
         let safety = self.safety.as_ref().map_or("UNKNOWN", |safety| match safety.verdict {
             Verdict::Safe => "SAFE",
             Verdict::Unsafe => "UNSAFE",
@@ -241,14 +252,12 @@ impl Status {
             0 if self.merged.is_none() => "?".to_owned(),
             count => count.to_string(),
         };
-        let now = self.now(address, domes);
+        let now = self.now(address, domes, &alerts);
         let head = format!("{:28} {safety:8} {posture:9} {mode:8} {sky:14} {count:>6}  {now}", address.to_string());
         let mut lines = vec![head.trim_end().to_owned()];
         if night.is_none() {
             lines.extend(domes.iter().map(|dome| format!("    {}", dome.words())));
-            let nodes: Vec<String> = self.nodes.iter().map(|(role, id)| format!("{role}/{id}")).collect();
-            let nodes = if nodes.is_empty() { "none".to_owned() } else { nodes.join(", ") };
-            lines.push(format!("    nodes of this telescope that answer: {nodes}"));
+            lines.push(format!("    nodes of this telescope that answer: {}", self.node_names()));
         }
         if let Some(safety) = &self.safety {
             let of = |what: &'static str, reasons: &[Unsafe]| {
@@ -316,8 +325,13 @@ impl Status {
         (!all.is_empty()).then(|| format!("    alerts: {}", all.join("; ")))
     }
 
+    fn node_names(&self) -> String {
+        let nodes: Vec<String> = self.nodes.iter().map(|(role, id)| format!("{role}/{id}")).collect();
+        if nodes.is_empty() { "none".to_owned() } else { nodes.join(", ") }
+    }
+
     /// Its activity, or the present reason why it waits.
-    fn now(&self, address: &Address, domes: &[DomeView]) -> String {
+    fn now(&self, address: &Address, domes: &[DomeView], alerts: &[Alert]) -> String {
         let renewed = domes.iter().filter_map(|dome| dome.renewed(address)).max();
         let seen = Seen {
             address,
@@ -326,38 +340,10 @@ impl Status {
             safety: self.safety.as_ref(),
             schedule: self.schedule.as_ref(),
             orders: self.orders.as_ref(),
+            alerts,
             silent_since: self.stale_utc.or(renewed),
         };
         seen.now()
-    }
-}
-
-/// The event and what a person should do.
-fn alert_words(alert: &Alert) -> String {
-    let who = alert.acknowledged_by.as_ref().map(|who| format!(" ({who} sees to it)")).unwrap_or_default();
-    let gone = if alert.returned_utc.is_some() { " (its cause is gone)" } else { "" };
-    let shelved = match (&alert.shelved_by, alert.shelved_until_utc) {
-        (Some(who), Some(until)) => format!(" (shelved by {who} until {})", until.to_second()),
-        _ => String::new(),
-    };
-    format!("    {} {}: {}{gone}{who}{shelved}; {}", alert.priority.word(), alert.id, alert.cause, alert.action)
-}
-
-/// A reason with the time at which it can end.
-fn reason_words(reason: &Unsafe) -> String {
-    let clears = match reason.clears_in_s {
-        Some(left) => format!("; can clear in {}", length(left)),
-        None => "; when it clears cannot be known".to_owned(),
-    };
-    format!("{}: {}{clears}", reason.input, reason.why)
-}
-
-/// Whether the sky is simulated, and how fast it turns.
-fn sky_word(night: &NightState) -> String {
-    match (night.simulated, night.speed) {
-        (false, _) => "real".to_owned(),
-        (true, 1.0) => "simulated".to_owned(),
-        (true, speed) => format!("simulated x{speed:.0}"),
     }
 }
 

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use contract::Role;
 use node::Stop;
+use node::restart::{self, Pauses};
 use node::watchdog::{self, Watchdog};
 use tokio::process::{Child, Command};
 use tokio::sync::oneshot;
@@ -41,7 +42,7 @@ pub struct NodeProcess {
 
 /// How nodes name this supervisor in their last state.
 const SUPERVISOR: &str = "starmesh up";
-/// A process that lived so long is healthy again: the next restart comes at once.
+/// A process that lived so long prints the cause of its end again.
 const HEALTHY: Duration = Duration::from_secs(60);
 /// A node that ends again and again waits at most so long for its next start.
 const MOST: Duration = Duration::from_secs(60);
@@ -122,10 +123,11 @@ impl NodeProcess {
         Ok(child)
     }
 
-    /// Starts the node, and again until the stop is requested: after 1 s, with back-off while it ends again and again or
-    /// cannot be started. `first`: whether the first start succeeded; why not is printed before.
+    /// Starts the node, and again until the stop is requested: at once after a good run (10 s and more), and after a pause that
+    /// grows while it ends again and again or cannot be started. `first`: whether the first start succeeded; why not is printed
+    /// before.
     pub async fn keep(&self, stop: Stop, first: oneshot::Sender<bool>) {
-        let (mut pause, mut first) = (Duration::from_secs(1), Some(first));
+        let (mut pauses, mut first) = (Pauses::default(), Some(first));
         // Without it a node that ends prints each time why.
         let words = tempfile::NamedTempFile::new().ok().map(tempfile::NamedTempFile::into_temp_path);
         let mut printed_before = String::new();
@@ -138,20 +140,16 @@ impl NodeProcess {
                 // Where the file cannot be emptied, a line is left out at most.
                 let _ = words.as_deref().map(|words| std::fs::write(words, ""));
             }
-            pause = if started.elapsed() > HEALTHY {
-                Duration::from_secs(1)
-            } else {
-                (pause * 2).min(self.longest_pause())
-            };
-            let status = ended.status;
+            let pause = pauses.after(started.elapsed(), self.longest_pause());
+            let (status, next) = (ended.status, restart::words(pause));
             if let Some(reports) = &self.reports {
-                reports.ended(self.role, &self.id, &status, ended.is_hung);
+                reports.ended(self.role, &self.id, &status, &next, ended.is_hung);
             }
             let text = words.as_deref().and_then(|words| std::fs::read_to_string(words).ok()).unwrap_or_default();
             if text.is_empty() || text != printed_before {
                 node::lines::complain(format_args!(
-                    "starmesh: the {} node {} ended ({status}); next start in {pause:?}, and again without a further word \
-                     while it ends for the same reason",
+                    "starmesh: the {} node {} ended ({status}); next start {next}, and again without a further word while it \
+                     ends for the same reason",
                     self.role, self.id
                 ));
             }

@@ -82,7 +82,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let nodes = left::path(&options.file);
     let _running = here.and_then(|here| running::announce("up", &config.address(), &here, folder, Some(&nodes)));
     let (told, beginning) = oneshot::channel();
-    let (site, now) = (config.clone(), bus.clock().utc());
+    let (site, file, now) = (config.clone(), options.file.clone(), bus.clock().utc());
     // A disk that hangs keeps no node from its start.
     std::thread::spawn(move || {
         for why in unwritable(&site) {
@@ -90,7 +90,8 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
                 "starmesh: {why}. What needs this folder waits for it, and the nodes try again"
             ));
         }
-        told.send(node_observatory::beginning::words(&site, now))
+        let was_commanded = node_device::was_commanded(&file, &site);
+        told.send(node_observatory::beginning::words(&site, was_commanded, now))
     });
     let node = |role, id: &str| NodeProcess {
         role,

@@ -24,6 +24,29 @@ function timesOf(text, object) {
   return [row[1], row[2]];
 }
 
+test("a letter draws the row that it changes anew and no other, and the comparison follows", TEST, async () => {
+  await open();
+  await page.route("**/schedule/validate", (route) => route.fulfill({ json: { valid: true, rows: 60, errors: 0, warnings: 0, findings: [] } }));
+  const text = Array.from({ length: 60 }, (_, n) => `{"device_name":"camera","action_type":"object","action_value":{"object":"T ${n}"},"start_time":"2026-11-27T0${2 + (n % 6)}:00:00Z","end_time":"2026-11-27T08:40:00Z"}`).join("\n");
+  await write(text, 60);
+  await area().evaluate((one, at) => { one.focus(); one.setSelectionRange(at, at); }, text.indexOf('0"', text.indexOf('"T 30"')));
+  await area().press("ArrowRight");
+  await page.locator('[data-testid="chosen"] .end', { hasText: "line 31" }).waitFor();
+  // A bar that is drawn measures its name.
+  await page.evaluate(() => {
+    const { prototype } = CanvasRenderingContext2D;
+    const { measureText } = prototype;
+    const measured = new Set();
+    prototype.measureText = function noted(name) { measured.add(name); return measureText.call(this, name); };
+    Object.assign(window, { measured });
+  });
+  await area().pressSequentially("x");
+  await bar(31).locator("title", { hasText: "T 30x" }).waitFor({ state: "attached" });
+  assert.deepEqual(await page.evaluate(() => [...window.measured]), ["T 30x"]);
+  await page.getByTestId("changes").locator(".add", { hasText: "object T 30x" }).waitFor();
+  assert.deepEqual(unexpected(), []);
+});
+
 test("a row is dragged and its ends are, to whole minutes, and nothing else of the text changes", TEST, async () => {
   await open();
   await write(WRITTEN, 2);
@@ -220,6 +243,7 @@ test("a value is changed where it stands, and rows are told apart as the observa
       added: changed('{"a":{},"b":1}', (row) => ({ ...row, a: { z: 1 }, c: "x" })), taken: changed('{"a": 1, "b": 2, "c": 3}', ({ b }) => ({ b })), nested: changed('{"a":{"b":{"c":1},"d":[1,{"e":"}"}]} }', (row) => ({ a: { ...row.a, d: [2] } })),
       times: ["2026-11-27T03:00:00.5Z", "2026-11-27 03:00", "20261127T030000Z", "27.11.2026 03:00:00", "2026/11/27 05:00:00 +0200", "2026-11-26 22:00:00 -05:00 ", "11.12.2026 03:00"].map((like) => [timeOf(like) - Date.UTC(2026, 10, 27, 3), timeLike(like, Date.UTC(2026, 10, 28))]),
       moved: moved(object, object.start, object.end + 60e3), first: put("N", open.start - 1), middle: put("N", open.start), last: put("N", object.start), removed: without(text, object), beside: without('{"a":1} {"b":2}', rowsOf('{"a":1} {"b":2}')[1]),
+      ends: rowsOf('{"a": 1}  \n{"b": "}"} {"c": 3}').map(({ from, to, line }) => [from, to, line]),
       broken: rowsOf('{"a": "x\n{"b": 2}\n]]{"c":\n  {"d": 4}').map(({ row }) => row), many: rowsOf('{"a":[{\n'.repeat(5000)).length,
       order: difference('{"a":1,"b":{"c":1,"d":2}}', '\n{"b": {"d":2,"c":1}, "a":1}\n').length, number: difference('{"a":1.0}', '{"a":1}').map(({ change }) => change),
       twins: difference('{"a":1}\n{"a":1}', '{"a":1}\n{"a":1}\n{"a":1}').map(({ change }) => change), other: difference('{"a":1}', '{"a":2}\n{"device_name":"x"}').map(({ change, fields }) => [change, ...fields]),
@@ -232,6 +256,7 @@ test("a value is changed where it stands, and rows are told apart as the observa
     times: [[500, "2026-11-28T00:00:00Z"], [0, "2026-11-28 00:00"], [null, "2026-11-28 00:00:00"], [0, "2026-11-28 00:00:00"], [0, "2026/11/28 02:00:00 +0200"], [0, "2026-11-27 19:00:00 -05:00"], [null, "2026-11-28 00:00:00"]].map(([ms, like]) => [ms ?? NaN, like]),
     moved: { device_name: "camera", action_type: "object", action_value: { object: "SN 2026x", ra: 24.35, dec: -45.68, exptime: 120, filter: "R" }, start_time: "2026-11-27T03:00:00.500Z", end_time: "2026-11-27T05:01:00Z" },
     first: `${text[0]}\nN\nA\n\n${text[3]}\nB\n// the end`, middle: `${text[0]}\nA\nN\n\n${text[3]}\nB\n// the end`, last: `${text[0]}\nA\n\n${text[3]}\nB\nN\n// the end`, removed: [...text.slice(0, 4), "// the end"].join("\n"), beside: '{"a":1} ',
+    ends: [[0, 8, 1], [11, 21, 2], [22, 30, 2]],
     broken: [{ b: 2 }, { d: 4 }], many: 0, order: 0, number: ["changed"], twins: ["added"], other: [["changed", { field: "a", before: 1, after: 2 }], ["added"]],
   });
 });

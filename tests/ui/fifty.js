@@ -17,7 +17,7 @@ function telescope(n) {
     safety: isWindy ? { state: "unsafe", since_utc: UTC, reasons: [{ input: "weather/WindSpeed", why: "17.3 m/s is above 15 m/s", clears_in_s: null }], suspended: [], advisories: [] } : { state: "safe", since_utc: UTC, reasons: [], suspended: [], advisories: [] },
     posture: isWindy && n !== 17 ? "closed" : "open", mode: "robotic", simulated: false, speed: 1, ended: false,
     activity: isWindy ? [] : [{ row: 2, action: n % 11 ? "object" : "autofocus", camera: "camera", object: n % 11 ? ["WASP-18", "TRAPPIST-1", "a name of a field that is long, NGC 2516 east"][n % 3] : null, step: `exposing ${n} of 60, 60 s, V`, started_utc: UTC, expected_by_utc: ["2026-11-27T09:00:00Z", "2026-11-27T02:20:00Z", undefined][n % 3] }],
-    frames: 100 + n, alerts, alert_counts: { critical: 0, high: 0, medium: 0, advisory: 0 }, now: "nothing under way", posture_by: "observatory", domes: [], concern: n === 17 ? "critical" : null,
+    frames: 100 + n, alerts, alert_counts: { critical: 0, high: 0, medium: 0, advisory: 0 }, now: "nothing under way", posture_by: "observatory", domes: [], concern: n === 17 ? "critical" : null, safety_concern: n === 17 ? "critical" : null,
     figures: { guide_rms_arcsec: 0.3 + n / 100, fwhm_arcsec: 1.2 + n / 50 }, schedule: { rows: 9, finished: n % 9 }, device_count: { known: 10, lost: n === 31 ? 1 : 0 }, node_count: { known: 4, lost: 0 },
     image: { frame: `frame-${n}`, camera: "camera", object: null, image_type: "light", filter: "V", exposure_s: 60, started_utc: UTC, size_px: [64, 64], problem: null },
     age_s: 0.1, image_age_s: 5, reported_utc: UTC,

@@ -91,6 +91,12 @@ impl Abilities {
         }
     }
 
+    /// What the device answered cannot be, as other answers of it show: it counts as not read, and is asked for again.
+    pub fn doubt(&mut self, property: &str, why: &NoData) {
+        self.known.remove(property);
+        self.unread.insert(property.to_owned(), why.clone());
+    }
+
     /// A capability flag: false only where the device answers so, or does not have the property. Where it could not be
     /// read it is true, so that the device itself decides when it is asked to do it.
     pub async fn can(&mut self, property: &str) -> Result<bool, AlpacaError> {

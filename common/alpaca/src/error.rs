@@ -105,6 +105,11 @@ impl AlpacaError {
         matches!(self, Self::Transport { .. })
     }
 
+    /// No whole answer came in time.
+    pub fn is_timeout(&self) -> bool {
+        matches!(self, Self::Transport { fault: Fault::Timeout, .. })
+    }
+
     /// Did the call perhaps reach the device, though no answer to it came?
     pub fn is_unknown_outcome(&self) -> bool {
         matches!(self, Self::Transport { fault: Fault::Timeout | Fault::Reset, .. } | Self::Foreign { .. })

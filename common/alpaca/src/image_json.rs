@@ -125,7 +125,10 @@ impl<'de> Visitor<'de> for List<'_> {
         match *size {
             None => *size = Some(length),
             Some(first) if first == length => {}
-            Some(first) => return Err(de::Error::custom(format!("lists of {first} and of {length} values"))),
+            Some(first) => {
+                let what = format!("its lists are of different length, such as {first} and {length} values");
+                return Err(de::Error::custom(what));
+            }
         }
         Ok(())
     }

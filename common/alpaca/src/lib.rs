@@ -26,7 +26,7 @@ mod transaction;
 pub mod value;
 
 pub use capability::Abilities;
-pub use client::{Alpaca, http_client};
+pub use client::{Alpaca, STATUS_DEADLINE, http_client};
 pub use error::{AlpacaError, Fault};
 pub use image::Image;
 pub use raw_image::RawImage;

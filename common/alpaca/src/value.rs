@@ -1,5 +1,8 @@
 //! Converts a JSON value to the type of a property, or gives the reason why not.
 
+use std::fmt::Debug;
+use std::ops::RangeInclusive;
+
 use contract::{NoData, Scalar};
 use serde_json::Value;
 
@@ -32,6 +35,25 @@ pub fn whole(value: &Value) -> Result<i64, NoData> {
     }
     let number = number(value)?;
     if number.fract() == 0.0 && number.abs() < 9e15 { Ok(number as i64) } else { Err(wrong("a whole number", value)) }
+}
+
+/// A number of this range, as [`number`] reads it; any other one is nonsense, and no answer.
+pub fn number_in(range: RangeInclusive<f64>) -> impl Fn(&Value) -> Result<f64, NoData> {
+    move |value: &Value| number(value).and_then(|number| possible(number, &range))
+}
+
+/// A whole number of this range, as [`whole`] reads it; any other one is nonsense, and no answer.
+pub fn whole_in(range: RangeInclusive<i64>) -> impl Fn(&Value) -> Result<i64, NoData> {
+    move |value: &Value| whole(value).and_then(|number| possible(number, &range))
+}
+
+fn possible<T: PartialOrd + Debug>(number: T, range: &RangeInclusive<T>) -> Result<T, NoData> {
+    if range.contains(&number) {
+        return Ok(number);
+    }
+    // As `Debug` has them, numbers with hundreds of digits are short.
+    let detail = format!("{number:?} is not possible; expected {:?} to {:?}", range.start(), range.end());
+    Err(NoData::new("wrong type", detail))
 }
 
 /// True or false; `0`, `1`, `"True"` and `"false"` count.

@@ -93,6 +93,9 @@ pub struct Accepted {
     /// The fencing token that a `claim` was granted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub token: Option<u64>,
+    /// The order holds now, and a restart of the observatory node would forget it: the file and the error, for people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_written: Option<String>,
 }
 
 /// A command was not taken.

@@ -59,6 +59,13 @@ impl Display for Stopped {
     }
 }
 
+/// The cause of the alert about a node that publishes no more, the same from whoever notices it: `node` is that node in words,
+/// such as `the device node main`; an empty `host` is not known.
+pub fn fallen_silent(node: &str, host: &str) -> String {
+    let host = if host.is_empty() { String::new() } else { format!(" on host \"{}\"", printable(host)) };
+    format!("{node}{host} has fallen silent")
+}
+
 /// Figures of a device node end so: by how much the clock of the mount of that name is ahead of the node's, s.
 pub const MOUNT_CLOCK_OFFSET_S: &str = "_clock_offset_s";
 

@@ -95,6 +95,8 @@ enum Expected {
     Open { since: MachineTime },
     /// Closing was commanded.
     Closing,
+    /// The commander has taken over from a closing of this guard: an opening of before it may yet begin.
+    Resumed,
     /// Was seen closed.
     Closed,
 }
@@ -316,7 +318,7 @@ impl Guard {
         }
         self.hold = false;
         if self.closing.take().is_some() {
-            self.expected = Expected::Unknown;
+            self.expected = Expected::Resumed;
         }
         Ok(())
     }
@@ -377,7 +379,7 @@ impl Guard {
                 // Right after a command to open a dome may still report closed, also if it was told to close since.
                 let may_open = match self.expected {
                     Expected::Open { since } => now.since(since) < self.settings.travel,
-                    Expected::Closing => !self.evidence.is_credible(now, FRESH),
+                    Expected::Closing | Expected::Resumed => !self.evidence.is_credible(now, FRESH),
                     Expected::Unknown | Expected::Closed => false,
                 };
                 if !may_open {

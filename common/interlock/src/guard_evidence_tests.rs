@@ -104,6 +104,24 @@ fn an_opening_that_begins_after_the_command_to_close_was_commanded_and_one_after
 }
 
 #[test]
+fn an_opening_that_begins_after_the_commander_took_over_from_the_guards_closing_was_commanded() {
+    let mut guard = opened(Shutter::Closed);
+    unsafe_at(&mut guard, 3.0);
+    assert!(closes(&guard.sees(at(3.0), Some(Shutter::Closed), true)));
+    let number = guard.beat(at(4.0));
+    guard.observe(&telescope("alpha"), &safe(904, number)).unwrap();
+    guard.resume(at(4.0)).unwrap();
+    // Its opening has not begun when the commander resumes, begins all the same, and the request of before closes it.
+    for (second, seen) in
+        [(4.5, Shutter::Closed), (5.0, Shutter::Opening), (6.0, Shutter::Closing), (7.0, Shutter::Closed)]
+    {
+        assert_eq!(guard.sees(at(second), Some(seen), true), [], "second {second}");
+    }
+    let steps = guard.sees(at(8.0), Some(Shutter::Opening), true);
+    assert_eq!(steps, [GuardStep::Close, GuardStep::Raise(Alarm::Uncommanded)], "nobody commanded this one");
+}
+
+#[test]
 fn what_was_read_before_the_request_proves_nothing() {
     let mut guard = opened(Shutter::Open);
     unsafe_at(&mut guard, 3.0);

@@ -21,7 +21,7 @@ use crate::lease_known::LeaseKnown;
 
 /// An arbiter that is there answers within this time.
 const ASKING: Duration = Duration::from_secs(10);
-/// One that does not for so long is an alert.
+/// One that does not for so long is an alert; one that refuses is as soon as this process publishes.
 const NO_LEASE: Duration = Duration::from_secs(30);
 /// An arbiter that has lost its memory publishes an older lease for good; right after a grant it does so for a moment.
 const FORGOTTEN: Duration = Duration::from_secs(5);
@@ -229,7 +229,7 @@ impl LeaseHolder {
                 LeaseTask::Wait
             }
             LeaseEvent::Answered(answer @ (ClaimAnswer::Refused | ClaimAnswer::Silent)) => {
-                alert = self.is_not_granted(published, now);
+                alert = self.is_not_granted(answer, published, now);
                 // A refusal is an answer; after silence the same claim is asked again.
                 if answer == ClaimAnswer::Refused {
                     (self.claim, self.is_left) = (fresh, false);
@@ -286,13 +286,19 @@ impl LeaseHolder {
     }
 
     /// Another node may command although the arbiter cannot answer just now.
-    fn is_not_granted(&mut self, published: Option<PublishedLease>, now: MachineTime) -> Option<LeaseAlert> {
+    fn is_not_granted(
+        &mut self,
+        answer: ClaimAnswer,
+        published: Option<PublishedLease>,
+        now: MachineTime,
+    ) -> Option<LeaseAlert> {
         let silent_for = now.since(self.asked_since);
         let is_rival = published.is_some_and(|lease| *lease.boot_id != self.boot_id);
         if !is_rival && silent_for >= ASKING {
             self.state = LeaseState::Claiming;
         }
-        (silent_for > NO_LEASE).then_some(LeaseAlert::NoLease(true))
+        let is_refused = answer == ClaimAnswer::Refused && silent_for >= ASKING;
+        (is_refused || silent_for > NO_LEASE).then_some(LeaseAlert::NoLease(true))
     }
 
     fn is_lost_by(&mut self, known: Option<LeaseKnown>, now: MachineTime) -> bool {

@@ -150,6 +150,19 @@ fn without_an_arbiter_that_answers_it_claims_after_ten_seconds_unless_another_pu
 }
 
 #[test]
+fn an_arbiter_that_refuses_is_an_alert_as_soon_as_this_node_publishes_and_a_silent_one_after_half_a_minute() {
+    for (answer, second, is_raised) in [
+        (ClaimAnswer::Refused, 9, false),
+        (ClaimAnswer::Refused, 10, true),
+        (ClaimAnswer::Silent, 30, false),
+        (ClaimAnswer::Silent, 31, true),
+    ] {
+        let step = Scene::new().step(LeaseEvent::Answered(answer), "b", second);
+        assert_eq!(step.alert.is_some(), is_raised, "{answer:?} after {second} s: {step:?}");
+    }
+}
+
+#[test]
 fn a_lease_is_lost_at_once_to_a_newer_one_and_after_five_seconds_to_an_arbiter_that_forgot_it() {
     use LeaseKnown::{Disputed, Lost, Ours, Unknown};
     // What the guards publish in each second, and in which of them it asks again.

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use bus::Clock;
-use contract::observatory::{AlertKind, Alerts, Notification};
+use contract::observatory::{AlertKind, Alerts, Notification, Priority};
 use contract::{Address, printable};
 use tokio::sync::{Notify, watch};
 
@@ -57,7 +57,10 @@ impl NodeAlerts {
         let mut states = self.states();
         let (id, priority) = (alert.id.clone(), alert.priority);
         if states.raise(on_delay, alert, self.clock.machine()) {
-            tracing::warn!(id, ?priority, cause, "alert raised");
+            match priority {
+                Priority::Advisory => tracing::info!(id, ?priority, cause, "alert raised"),
+                _ => tracing::warn!(id, ?priority, cause, "alert raised"),
+            }
         }
         self.show(&mut states);
         self.changed.notify_one();

@@ -3,19 +3,20 @@
 //! An observatory node that was started expects the nodes that its file names, however they ended, and those that it heard
 //! before and that have not ended in good order: it writes them into its data folder (`nodes-TELESCOPE-ID.json`).
 
+mod record;
+
 use std::collections::BTreeMap;
-use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use bus::{Catch, MachineTime};
 use config::Observatory;
-use contract::node::NodeState;
+use contract::node::{NodeState, fallen_silent};
 use contract::observatory::AlertKind;
 use contract::{Key, NodeTopic, Role, Topic};
-use node::{Node, NodeAlerts, now_s};
-use serde::{Deserialize, Serialize};
+use node::{Looks, Node, NodeAlerts, now_s};
 use tokio::task::{JoinHandle, spawn_blocking};
+
+use self::record::{Noted, Record, path, ran_before, write};
 
 /// A node publishes its state every 5 s. The silence is itself the on-delay of the alert, and nothing is added to it.
 pub(crate) const LOST: Duration = Duration::from_secs(AlertKind::NodeSilent.entry().on_delay_s as u64);
@@ -24,8 +25,6 @@ pub(crate) const LOST: Duration = Duration::from_secs(AlertKind::NodeSilent.entr
 const STARTS_WITHIN: Duration = Duration::from_secs(120);
 /// Nodes of a telescope and of its site's shared devices; more are the invention of a faulty program.
 const MOST_NODES: usize = 128;
-/// A node that no file names and that was not heard for so long was taken away for good.
-const EXPECTED_FOR_S: u64 = 7 * 86_400;
 /// The time at which a node was heard is written so often.
 const NOTED_EVERY_S: u64 = 3600;
 /// This node looks each second. One that has not looked for so long stood still itself, and has heard nobody meanwhile.
@@ -60,7 +59,7 @@ async fn notice_silence(node: Node, starts_within: Duration, raises: impl Fn() -
         nodes = OtherNodes::expected(&named, known, missed_from, now_s());
     }
     let (mut is_due, mut writing) = (false, None::<JoinHandle<()>>);
-    let mut looked = clock.machine();
+    let mut looks = Looks::begin(clock.machine(), STOOD_STILL);
     loop {
         if let Ok(state) = tokio::time::timeout(Duration::from_secs(1), states.recv()).await
             && let Some((instance, words)) = name(&state.key, &own)
@@ -68,51 +67,19 @@ async fn notice_silence(node: Node, starts_within: Duration, raises: impl Fn() -
             node.alerts.clear(AlertKind::NodeSilent, &instance);
             is_due |= nodes.take(instance, &words, &state.sample.body, state.arrived, now_s());
         }
-        let before = std::mem::replace(&mut looked, clock.machine());
-        nodes.look(before, looked);
-        is_due |= nodes.note_missed(looked, &boot_id);
+        let now = clock.machine();
+        if let Some(before) = looks.stood_still_since(now) {
+            nodes.after_standstill(before, now);
+        }
+        is_due |= nodes.note_missed(now, &boot_id);
         if raises() {
-            nodes.raise_silent(looked, &node.alerts);
+            nodes.raise_silent(now, &node.alerts);
         }
         // A disk that hangs keeps nobody from noticing silence.
         if let Some(file) = file.as_ref().filter(|_| is_due && writing.as_ref().is_none_or(JoinHandle::is_finished)) {
             let (file, record) = (file.clone(), nodes.record());
             (is_due, writing) = (false, Some(spawn_blocking(move || write(&file, &record))));
         }
-    }
-}
-
-/// The file of the nodes that this one has heard.
-fn path(node: &Node) -> PathBuf {
-    node.config.folders.data.join(format!("nodes-{}-{}.json", node.config.place.telescope, node.id))
-}
-
-/// The nodes that an earlier incarnation heard within the last days, as far as the file can be read.
-fn ran_before(config: &Observatory, file: &Path, now_s: u64) -> Record {
-    let read = std::fs::read(file).map_err(|error| (error.kind() == ErrorKind::NotFound, error.to_string()));
-    let read = read.and_then(|bytes| serde_json::from_slice(&bytes).map_err(|error| (false, error.to_string())));
-    let mut known: Record = read.unwrap_or_else(|(is_first, why)| {
-        if !is_first {
-            node::aside::keep_copy(file, &why, "Of nodes that died before, only those of the file are missed.");
-        }
-        Record::default()
-    });
-    // A clock that is wrong, such as one that has begun in 1970, takes nobody away.
-    known.retain(|_, noted| now_s <= noted.heard_s.saturating_add(EXPECTED_FOR_S));
-    let here = node::host_name();
-    for (instance, noted) in known.iter_mut().filter(|(_, noted)| noted.host == here) {
-        // Under `starmesh up` these end after the observatory node, which does not hear it.
-        let own = instance.split_once('/').filter(|(role, id)| *role != Role::Device.word() && !id.contains('/'));
-        noted.ended_well |= own.is_some_and(|(role, id)| !node::runs::is_open(config, role, id));
-    }
-    known
-}
-
-/// Errors are logged: at the next start a node that is dead already is missed only if the file names it.
-fn write(file: &Path, record: &Record) {
-    let written = serde_json::to_vec_pretty(record).map_err(std::io::Error::other);
-    if let Err(error) = written.and_then(|bytes| node::private::write_whole(file, &bytes)) {
-        tracing::warn!(file = %file.display(), %error, "the nodes that were heard cannot be written down");
     }
 }
 
@@ -151,22 +118,6 @@ fn named(config: &Observatory, is_under_up: bool) -> BTreeMap<String, String> {
     devices.chain(archives).chain(beside).collect()
 }
 
-/// What is written of a node.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct Noted {
-    /// The node, for people.
-    words: String,
-    /// Empty where it was never heard; that is not written.
-    host: String,
-    /// By the clock of this host, at most an hour before it was heard last, s since 1970.
-    heard_s: u64,
-    /// It has reported that it will be silent.
-    ended_well: bool,
-    /// The start of this host's kernel since which it is missed; empty while it is not.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    missed_since: String,
-}
-
 impl Noted {
     /// When it begins to be missed by a node that `began`. One that was missed before that, on a host that was not started
     /// again since, has had its time to start.
@@ -175,9 +126,6 @@ impl Noted {
         began.plus(if was_missed { LOST.min(starts_within) } else { starts_within })
     }
 }
-
-/// Nodes by the instances of their alerts.
-type Record = BTreeMap<String, Noted>;
 
 /// A node that has published, or is expected to.
 struct OtherNode {
@@ -192,7 +140,7 @@ impl OtherNode {
     fn cause(&self) -> String {
         let Noted { words, host, .. } = &self.noted;
         match (self.is_heard, host.as_str()) {
-            (true, host) => format!("{words} on host \"{host}\" has fallen silent"),
+            (true, host) => fallen_silent(words, host),
             (false, "") => format!("{words}, which ought to run, has not been heard since this node began"),
             (false, host) => format!("{words} on host \"{host}\" ran before this node began, and was not heard since"),
         }
@@ -259,11 +207,8 @@ impl OtherNodes {
         has_changed
     }
 
-    /// Looks `now`, after it did `before`: a time in which this node itself stood still proves nobody's silence.
-    fn look(&mut self, before: MachineTime, now: MachineTime) {
-        if now.since(before) <= STOOD_STILL {
-            return;
-        }
+    /// This node itself stood still from `before` to `now`: that time proves nobody's silence.
+    fn after_standstill(&mut self, before: MachineTime, now: MachineTime) {
         for from in self.0.values_mut().filter_map(|node| node.missed_from.as_mut()).filter(|from| **from > before) {
             *from = (*from).max(now.plus(LOST));
         }
@@ -296,9 +241,12 @@ impl OtherNodes {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use contract::node::Stopped;
     use contract::{Address, Name};
 
+    use super::record::EXPECTED_FOR_S;
     use super::*;
 
     /// The clock of this host.
@@ -332,9 +280,8 @@ mod tests {
         for (instance, heard_s) in [("device/main", 100), ("device/dome", 60)] {
             nodes.take(instance.to_owned(), "a device node", &state(None), at(heard_s), NOW_S);
         }
-        nodes.look(at(100), at(104));
-        assert_eq!(nodes.silent(at(116)).count(), 2, "it looked late, and did look");
-        nodes.look(at(101), at(180));
+        assert_eq!(nodes.silent(at(116)).count(), 2, "it looks, and hears neither");
+        nodes.after_standstill(at(101), at(180));
         let silent =
             |nodes: &OtherNodes, now_s| nodes.silent(at(now_s)).map(|(id, _)| id.to_owned()).collect::<Vec<_>>();
         assert_eq!(silent(&nodes, 195), ["device/dome"], "this one was silent before");
@@ -542,20 +489,5 @@ mod tests {
         assert_eq!(ran_before(&config, &file, 100), heard, "a computer whose clock begins in 1970");
         std::fs::write(&file, "{\"archive").unwrap();
         assert_eq!(ran_before(&config, &file, NOW_S), Record::default());
-    }
-
-    #[test]
-    fn a_node_of_this_host_that_ended_well_after_the_observatory_node_is_not_expected_and_one_that_died_is() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("nodes.json");
-        let config = config::parse(&test_support::ALPHA.replace("alpha", "callisto"), folder.path()).unwrap();
-        let here = node::host_name();
-        let all = ["archive/main", "web/main", "device/main"];
-        write(&file, &all.map(|instance| (instance.to_owned(), noted(&here, NOW_S, false))).into());
-        std::fs::create_dir_all(&config.folders.data).unwrap();
-        std::fs::write(config.folders.data.join(".run-callisto-web-main"), "7").unwrap();
-        let ended = ran_before(&config, &file, NOW_S);
-        let ended: Vec<bool> = all.iter().map(|instance| ended[*instance].ended_well).collect();
-        assert_eq!(ended, [true, false, false], "the file of the telescope names its device nodes");
     }
 }

@@ -40,6 +40,8 @@ pub(crate) fn still_open(domes: &[Device], guards: &BTreeMap<Device, Reading>, n
 pub(crate) struct Effects {
     /// When the observatory node showed the order last.
     pub(crate) shown: Option<MachineTime>,
+    /// When it showed it first.
+    first_shown: Option<MachineTime>,
     pub(crate) posture: Option<Posture>,
     /// What the guards of its domes said last.
     pub(crate) guards: BTreeMap<Device, Reading>,
@@ -52,6 +54,7 @@ impl Effects {
     pub(crate) fn see_night(&mut self, night: &NightState, order: &CommandId, given_utc: Utc, arrived: MachineTime) {
         if shows(night, order, given_utc) {
             (self.shown, self.posture) = (Some(arrived), Some(night.posture));
+            self.first_shown.get_or_insert(arrived);
         }
     }
 
@@ -69,11 +72,12 @@ impl Effects {
 
     /// Who has closed, once all is verified closed.
     pub(crate) fn closed(&self, now: MachineTime) -> Option<TakenBy> {
-        self.shown?;
+        let first_shown = self.first_shown?;
         if self.posture == Some(Posture::Closed) && !self.has_ended(now) {
-            // The observatory node may not have noticed yet that a guard has died, which said that its dome is open.
-            let is_contradicted = self.guards.values().any(|reading| reading.closed == Some(false));
-            return (!is_contradicted).then_some(TakenBy::Observatory);
+            // The observatory node may not have noticed yet that a guard has died, which said that its dome is open, nor that
+            // a dome had begun to open when it took the order: a guard says so after that.
+            let agrees = |reading: &Reading| reading.closed != Some(false) && reading.arrived >= first_shown;
+            return self.guards.values().all(agrees).then_some(TakenBy::Observatory);
         }
         // A dome that the observatory node never heard is in no permit, and makes its posture unknown. Whatever a guard
         // says 10 s after the order was shown, and is young, it said after the order.
@@ -188,6 +192,19 @@ mod tests {
         seen.guards.insert(dome("dome_1"), reading(Some(true), 110));
         assert_eq!(seen.closed(at(110)), Some(TakenBy::Observatory));
         assert_eq!(seen.closed(at(113)), None, "both are gone");
+    }
+
+    #[test]
+    fn what_a_guard_said_before_the_order_was_shown_does_not_verify_it() {
+        let mut seen = shown(Posture::Closed);
+        for (name, closed, arrived_s, wanted) in [
+            ("a dome may have begun to open since", Some(true), 99, None),
+            ("it was opening when the order was taken", Some(false), 101, None),
+            ("closed after the order", Some(true), 102, Some(TakenBy::Observatory)),
+        ] {
+            seen.guards.insert(dome("dome_1"), reading(closed, arrived_s));
+            assert_eq!(seen.closed(at(102)), wanted, "{name}");
+        }
     }
 
     #[test]

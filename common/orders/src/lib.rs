@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use bus::{AskError, Bus, Catch};
 use contract::command::{Seen, operator};
 use contract::observatory::{NightState, OrderTaken};
-use contract::{Address, Device, Key, Order, Part, Refusal, Reply};
+use contract::{Accepted, Address, Device, Key, Order, Part, Refusal, Reply};
 use tokio::sync::watch;
 use units::Utc;
 
@@ -49,6 +49,15 @@ pub enum NotAccepted {
         /// The key that was asked.
         key: Box<Key>,
     },
+    /// It was accepted and holds now; the observatory node's disk did not take it.
+    #[error(
+        "the order holds now and is NOT on disk ({why}): a restart of the observatory node would forget it. It is tried again and \
+         again, and an alert stands until it is written: make room on that disk"
+    )]
+    NotWritten {
+        /// The file and the error.
+        why: String,
+    },
 }
 
 impl NotAccepted {
@@ -64,7 +73,7 @@ impl NotAccepted {
 /// and it would wait in a buffer for a node that hangs.
 ///
 /// # Errors
-/// Where it is refused, or its outcome is unknown.
+/// Where it is refused, its outcome is unknown, or it holds and is not on disk.
 pub async fn give(bus: &Bus, address: &Address, order: &Order) -> Result<(), NotAccepted> {
     let key = Key::Order(address.clone());
     let seen = match order.kind.only_tightens() {
@@ -73,8 +82,9 @@ pub async fn give(bus: &Bus, address: &Address, order: &Order) -> Result<(), Not
     };
     let order = Order { seen, ..order.clone() };
     match bus.ask::<_, Reply>(&key, &order, ANSWER_WITHIN).await? {
-        Reply::Accepted(accepted) if accepted.id == order.id => Ok(()),
-        Reply::Accepted(_) => Err(NotAccepted::OfAnother { key: Box::new(key) }),
+        Reply::Accepted(accepted) if accepted.id != order.id => Err(NotAccepted::OfAnother { key: Box::new(key) }),
+        Reply::Accepted(Accepted { not_written: Some(why), .. }) => Err(NotAccepted::NotWritten { why }),
+        Reply::Accepted(_) => Ok(()),
         Reply::Refusal(refusal) => Err(refusal.into()),
     }
 }
@@ -101,7 +111,7 @@ const PAUSE: Duration = Duration::from_secs(1);
 /// silence, and ends it with what it breaks with, which is returned.
 ///
 /// # Errors
-/// Where it is refused, or nobody has answered in time.
+/// Where it is refused, nobody has answered in time, or it holds and is not on disk.
 pub async fn give_until_answered<B, W: Future<Output = ControlFlow<B>>>(
     bus: &Bus,
     address: &Address,
@@ -184,6 +194,14 @@ pub enum NotDone {
     /// The observatory node has taken this one about the same thing, which is newer; ours was not given any more.
     #[error("{}", replaced_by_words(.0))]
     Replaced(Box<OrderTaken>),
+    /// It was taken, and where that was waited for all is verified closed; the observatory node's disk did not take it.
+    #[error("{closed}{why}")]
+    NotWritten {
+        /// What was verified, for people.
+        closed: &'static str,
+        /// [`NotAccepted::NotWritten`].
+        why: NotAccepted,
+    },
 }
 
 /// Gives an order that closes, and waits until the telescope is verified closed; not at all where `within` is zero.
@@ -193,7 +211,8 @@ pub enum NotDone {
 /// with each that took the order.
 ///
 /// # Errors
-/// Nobody took the order, the observatory node refuses it, or not everything is verified closed in time.
+/// Nobody took the order, the observatory node refuses it, not everything is verified closed in time, or the order holds and
+/// is not on disk.
 pub async fn close(
     bus: &Bus,
     follower: &Follower,
@@ -229,9 +248,13 @@ pub async fn close_and_go_on(
             if is_taken { ControlFlow::Break(over) } else { ControlFlow::Continue(()) }
         }
     };
-    let Some(over) = give_until_answered(bus, address, order, CLOSE_WITHIN, to_domes).await? else {
+    let (over, not_written) = match give_until_answered(bus, address, order, CLOSE_WITHIN, to_domes).await {
+        Err(why @ NotAccepted::NotWritten { .. }) => (None, Some(why)),
+        answer => (answer?, None),
+    };
+    let Some(over) = over else {
         taken(&TakenBy::Observatory);
-        return closed_by_observatory(follower, order, given_utc, within).await;
+        return closed_by_observatory(bus, follower, order, (given_utc, within), not_written).await;
     };
     let closing = TakenBy::Domes(over.clone());
     taken(&closing);
@@ -264,9 +287,9 @@ pub async fn close_and_go_on(
         };
         let open = tokio::select! {
             answer = answers.as_mut() => {
-                answer?;
+                let not_written = answer?;
                 taken(&TakenBy::Observatory);
-                return closed_by_observatory(follower, order, given_utc, time).await;
+                return closed_by_observatory(bus, follower, order, (given_utc, time), not_written).await;
             }
             closed = closed => match closed {
                 Ok(()) => return Ok(closing),
@@ -285,15 +308,25 @@ pub async fn close_and_go_on(
     }
 }
 
+/// Follows an order that the observatory node took, with the reason why it was not on disk then, if it was not.
 async fn closed_by_observatory(
+    bus: &Bus,
     follower: &Follower,
     order: &Order,
-    given_utc: Utc,
-    within: Duration,
+    (given_utc, within): (Utc, Duration),
+    not_written: Option<NotAccepted>,
 ) -> Result<TakenBy, NotDone> {
-    match within.is_zero() {
-        true => Ok(TakenBy::Observatory),
-        false => Ok(follower.until_closed(order, given_utc, within).await?),
+    let (taken, closed) = match within.is_zero() {
+        true => (TakenBy::Observatory, ""),
+        false => (follower.until_closed(order, given_utc, within).await?, "verified closed, but "),
+    };
+    match not_written {
+        // It has tried again meanwhile, and answers a repeat by that. A node that fell silent has a warning of its own.
+        Some(why) if taken == TakenBy::Observatory => match give(bus, &follower.address, order).await {
+            Ok(()) => Ok(taken),
+            Err(_) => Err(NotDone::NotWritten { closed, why }),
+        },
+        Some(_) | None => Ok(taken),
     }
 }
 
@@ -315,8 +348,8 @@ fn replaced_by_words(OrderTaken { from, at_utc, .. }: &OrderTaken) -> String {
 /// answers, `taken` is called, and the order is followed as by [`close()`]: a dome may have begun to open before.
 ///
 /// # Errors
-/// It did not answer, refuses, has taken a newer order, or not everything is verified closed in the time `within` after it
-/// took this one.
+/// It did not answer, refuses, has taken a newer order, not everything is verified closed in the time `within` after it
+/// took this one, or this one holds and is not on disk.
 pub async fn give_on(
     bus: &Bus,
     follower: &Follower,
@@ -325,24 +358,26 @@ pub async fn give_on(
     taken: impl FnOnce(&TakenBy),
 ) -> Result<TakenBy, NotDone> {
     let given_utc = bus.clock().utc();
-    ask_on(bus, follower, order, heard, ask_again).await?;
+    let not_written = ask_on(bus, follower, order, heard, ask_again).await?;
     taken(&TakenBy::Observatory);
-    closed_by_observatory(follower, order, given_utc, within).await
+    closed_by_observatory(bus, follower, order, (given_utc, within), not_written).await
 }
 
-/// Asks the observatory node until it takes the order; `silent` is called at each silence.
+/// Asks the observatory node until it takes the order; `silent` is called at each silence. Returns why the order is not on
+/// disk, if it is not.
 async fn ask_on(
     bus: &Bus,
     follower: &Follower,
     order: &Order,
     within: Duration,
     silent: impl FnMut() -> Ready<ControlFlow<Infallible>>,
-) -> Result<(), NotDone> {
+) -> Result<Option<NotAccepted>, NotDone> {
     tokio::select! {
         biased;
         newer = follower.until_replaced(order) => Err(NotDone::Replaced(Box::new(newer))),
-        answer = give_until_answered(bus, &follower.address, order, within, silent) => {
-            answer.map(|_| ()).map_err(NotDone::from)
+        answer = give_until_answered(bus, &follower.address, order, within, silent) => match answer {
+            Err(why @ NotAccepted::NotWritten { .. }) => Ok(Some(why)),
+            answer => answer.map(|_| None).map_err(NotDone::from),
         }
     }
 }

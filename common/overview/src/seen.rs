@@ -3,7 +3,7 @@
 use contract::Address;
 use contract::command::operator;
 use contract::observatory::{
-    NightState, OperatorOrders, Ordered, RowState, RowStatus, SafetyState, ScheduleState, Verdict,
+    Alert, AlertKind, NightState, OperatorOrders, Ordered, RowState, RowStatus, SafetyState, ScheduleState, Verdict,
 };
 use units::Utc;
 
@@ -22,6 +22,8 @@ pub struct Seen<'a> {
     pub schedule: Option<&'a ScheduleState>,
     /// What people ordered.
     pub orders: Option<&'a OperatorOrders>,
+    /// Its alerts.
+    pub alerts: &'a [Alert],
     /// Since when its observatory node is silent, where somebody knows.
     pub silent_since: Option<Utc>,
 }
@@ -72,6 +74,11 @@ impl Seen<'_> {
                 format!("{}{object}: {}", action.action, action.step)
             });
             return actions.collect::<Vec<_>>().join("; ");
+        }
+        let no_lease = AlertKind::NoLease.id("");
+        let stands = |alert: &&Alert| alert.id == no_lease && alert.returned_utc.is_none();
+        if let Some(alert) = self.alerts.iter().find(stands) {
+            return format!("nobody commands it, so nothing opens or moves: {}", alert.cause);
         }
         if let Some(closed) = self.orders.and_then(|orders| orders.stay_closed.as_ref()) {
             let (name, at, why) = (operator(&closed.from), closed.at_utc.to_second(), because(&closed.reason));
@@ -150,8 +157,12 @@ mod tests {
                "end_utc": "2026-11-21T05:00:00Z", "status": status, "frames": 0, "detail": detail})
     }
 
-    /// The text at 02:00 of a telescope that publishes.
+    /// The text at 02:00 of a telescope that publishes and has no alerts.
     fn now(night: Value, safety: Value, rows: &[Value], orders: Value) -> String {
+        now_with(&[], night, safety, rows, orders)
+    }
+
+    fn now_with(alerts: &[Alert], night: Value, safety: Value, rows: &[Value], orders: Value) -> String {
         let schedule = json!({"file": "s", "revision": 1, "rows": rows});
         let (night, safety) = (serde_json::from_value(night).unwrap(), serde_json::from_value(safety).unwrap());
         let (schedule, orders) = (serde_json::from_value(schedule).unwrap(), serde_json::from_value(orders).unwrap());
@@ -162,6 +173,7 @@ mod tests {
             safety: Some(&safety),
             schedule: Some(&schedule),
             orders: Some(&orders),
+            alerts,
             silent_since: None,
         };
         seen.now()
@@ -246,11 +258,25 @@ mod tests {
     }
 
     #[test]
+    fn a_telescope_that_nobody_commands_says_why_and_not_that_it_waits_for_a_schedule() {
+        let safe = verdict("safe", json!([]), json!([]));
+        let orders = json!({"overrides": [], "shelved": []});
+        let cause = "dome/dome_1 grants no lease: /data/tokens.json: No space left on device";
+        let mut alert = AlertKind::NoLease.alert("", Utc::EPOCH, cause);
+        let told =
+            |alert: &Alert| now_with(std::slice::from_ref(alert), night(true), safe.clone(), &[], orders.clone());
+        assert_eq!(told(&alert), format!("nobody commands it, so nothing opens or moves: {cause}"));
+        alert.returned_utc = Some(Utc::EPOCH);
+        assert_eq!(told(&alert), "waits for a schedule");
+    }
+
+    #[test]
     fn of_a_silent_observatory_node_nothing_old_is_repeated() {
         let address = Address::new("paranal", "io").unwrap();
         let since = Some("2026-11-21T03:12:45.9Z".parse().unwrap());
         let (night, safety, schedule, orders) = (None, None, None, None);
-        let seen = Seen { address: &address, now: since, night, safety, schedule, orders, silent_since: since };
+        let silent_since = since;
+        let seen = Seen { address: &address, now: since, night, safety, schedule, orders, alerts: &[], silent_since };
         assert_eq!(seen.now(), "the observatory node is silent since 03:12:45 UTC, so safety is unknown");
         let unknown = Seen { silent_since: None, ..seen };
         assert_eq!(unknown.now(), "the observatory node is silent, so safety is unknown");

@@ -138,8 +138,10 @@ impl Known<'_> {
             OnDisk::Unreadable(why) => format!("{why}; {again}"),
             OnDisk::Absent | OnDisk::Found(_) => {
                 let before = self.before().map_or(0, |before| *before.start());
+                let gone = if *self.disk == OnDisk::Absent { "the data folder has no orders, and " } else { "" };
                 format!(
-                    "the last orders to the commander with token {before} were not received, and one of them may be to stay closed; {again}"
+                    "{gone}the last orders to the commander with token {before} were not received, and one of them may be to stay \
+                     closed; {again}"
                 )
             }
         };
@@ -373,7 +375,8 @@ mod tests {
         }
         // Others commanded before, and the file that would have an order to stay closed is not there.
         let (orders, source) = known(Some(38)).take_over(now());
-        assert!(orders.stay_closed.is_some() && source == Source::Nobody, "{orders:?}");
+        let why = orders.stay_closed.as_ref().map(|ordered_by| ordered_by.reason.as_str()).unwrap_or_default();
+        assert!(why.starts_with("the data folder has no orders, and ") && source == Source::Nobody, "{orders:?}");
     }
 
     fn stamped<T>(boot_id: &BootId, body: T) -> Stamped<T> {

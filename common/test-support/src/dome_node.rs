@@ -66,7 +66,7 @@ impl DomeNode {
                 closes.send_replace(Shutter::Closed);
             }
             taken.lock().unwrap().push(command);
-            async move { Reply::Accepted(Accepted { id, token: None }) }
+            async move { Reply::Accepted(Accepted { id, token: None, not_written: None }) }
         });
         Self { commands, shutter, sticks, _tasks: tasks, _service: service.await.unwrap() }
     }

@@ -81,7 +81,7 @@ impl Spool {
             received.push(command);
             let reply = match received.len() {
                 1 => Reply::Refusal(Refusal { id, reason: Reason::Busy, detail: "in a moment".to_owned() }),
-                _ => Reply::Accepted(Accepted { id, token: None }),
+                _ => Reply::Accepted(Accepted { id, token: None, not_written: None }),
             };
             async move { reply }
         });

@@ -7,7 +7,7 @@ use std::time::Duration;
 use alpaca::{Abilities, Alpaca, AlpacaError, value};
 use bus::Clock;
 use contract::device::camera::{self, Activity, Capabilities, Command, Exposure, Fields, Subframe};
-use contract::{Accepted, CommandId, Datum, Name, Reason, Refusal, Reply};
+use contract::{Accepted, CommandId, Datum, Name, NoData, Reason, Refusal, Reply};
 use interlock::Need;
 
 use super::camera_setting::Setting;
@@ -31,6 +31,18 @@ const LEAST_FREE_BYTES: u64 = 500_000_000;
 const ABORTED_S: f64 = 10.0;
 /// A cooler that was switched is given so long to report it, sky s.
 const COOLER_S: f64 = 3.0;
+
+// Limits that a camera may report of itself. What is beyond cannot be, and would refuse every row.
+
+/// No camera's shortest exposure is longer, and none counts its exposures in longer steps, s.
+const LONGEST_MIN_S: f64 = 60.0;
+/// No camera's longest exposure is shorter, s.
+const SHORTEST_MAX_S: f64 = 0.001;
+const MOST_BIN: i64 = 1024;
+/// Pixels of a side of a sensor.
+const MOST_PX: i64 = 100_000;
+/// 32 bits.
+const MOST_ADU: f64 = 4_294_967_295.0;
 
 /// Drives a camera.
 pub struct Camera {
@@ -85,29 +97,28 @@ impl Driver for Camera {
     }
 
     async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
-        let size = async |abilities: &mut Abilities, property: &str| -> Result<u32, AlpacaError> {
-            let answer = abilities.read(property, value::whole).await?;
+        let size = async |abilities: &mut Abilities, property: &str, most: i64| -> Result<u32, AlpacaError> {
+            let answer = abilities.read(property, value::whole_in(1..=most)).await?;
             Ok(answer.ok().and_then(|size| u32::try_from(size).ok()).unwrap_or(0))
         };
-        let seconds = async |abilities: &mut Abilities, property: &str, least_s: f64| {
-            let answer = abilities.read(property, value::number).await?;
-            Ok::<_, AlpacaError>(answer.ok().filter(|s| *s >= least_s))
-        };
         // Both axes are binned alike, so that the axis with the smaller factor decides.
-        let bins = [size(abilities, "MaxBinX").await?, size(abilities, "MaxBinY").await?];
+        let bins = [size(abilities, "MaxBinX", MOST_BIN).await?, size(abilities, "MaxBinY", MOST_BIN).await?];
+        let [exposure_min_s, exposure_max_s] = exposure_limits(abilities).await?;
+        let step = abilities.read("ExposureResolution", value::number_in(0.0..=LONGEST_MIN_S)).await?;
         let can = Capabilities {
-            width_px: size(abilities, "CameraXSize").await?,
-            height_px: size(abilities, "CameraYSize").await?,
+            width_px: size(abilities, "CameraXSize", MOST_PX).await?,
+            height_px: size(abilities, "CameraYSize", MOST_PX).await?,
             pixel_width_um: abilities.read("PixelSizeX", value::number).await?.into(),
             pixel_height_um: abilities.read("PixelSizeY", value::number).await?.into(),
             max_bin: bins.into_iter().filter(|bin| *bin > 0).min().unwrap_or(0),
-            max_adu: abilities.read("MaxADU", value::number).await?.into(),
+            max_adu: abilities.read("MaxADU", value::number_in(1.0..=MOST_ADU)).await?.into(),
             set_temperature: abilities.can("CanSetCCDTemperature").await?,
             abort: abilities.can("CanAbortExposure").await?,
             electrons_per_adu: abilities.read("ElectronsPerADU", value::number).await?.into(),
-            exposure_min_s: seconds(abilities, "ExposureMin", 0.0).await?,
-            exposure_max_s: seconds(abilities, "ExposureMax", f64::MIN_POSITIVE).await?,
-            exposure_step_s: seconds(abilities, "ExposureResolution", f64::MIN_POSITIVE).await?,
+            exposure_min_s,
+            exposure_max_s,
+            // ASCOM: 0 where any length is possible.
+            exposure_step_s: step.ok().filter(|step| *step > 0.0),
         };
         self.memory(|memory| memory.can = can.clone());
         Ok(can)
@@ -176,7 +187,7 @@ impl Driver for Camera {
     }
 
     fn answer(&self, (id, from): (&CommandId, &str), command: &Command) -> Option<Reply> {
-        let accepted = || Some(Reply::Accepted(Accepted { id: id.clone(), token: None }));
+        let accepted = || Some(Reply::Accepted(Accepted { id: id.clone(), token: None, not_written: None }));
         match command {
             Command::Release { frame, sha256 } => match self.spool.release(frame, sha256, from) {
                 Ok(()) => accepted(),
@@ -282,6 +293,20 @@ impl Driver for Camera {
             Command::Expose { .. } | Command::Release { .. } => Progress::Done,
         }
     }
+}
+
+/// The shortest and the longest exposure, s, as far as they are known.
+async fn exposure_limits(abilities: &mut Abilities) -> Result<[Option<f64>; 2], AlpacaError> {
+    let least = abilities.read("ExposureMin", value::number_in(0.0..=LONGEST_MIN_S)).await?.ok();
+    let most = abilities.read("ExposureMax", value::number_in(SHORTEST_MAX_S..=f64::MAX)).await?.ok();
+    let Some((least_s, most_s)) = least.zip(most).filter(|(least, most)| least > most) else {
+        return Ok([least, most]);
+    };
+    let why = NoData::new("wrong type", format!("ExposureMin is {least_s} s, and ExposureMax only {most_s} s"));
+    for property in ["ExposureMin", "ExposureMax"] {
+        abilities.doubt(property, &why);
+    }
+    Ok([None, None])
 }
 
 fn fits(part: &Subframe, can: &Capabilities, bin: u32) -> bool {

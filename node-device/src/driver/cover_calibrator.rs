@@ -46,11 +46,12 @@ impl Driver for CoverCalibrator {
             Ok(state) => state != 0,
             Err(reason) => reason != NoData::not_implemented(),
         };
-        Ok(Capabilities {
-            cover: present(abilities.read("CoverState", value::whole).await?),
-            calibrator: present(abilities.read("CalibratorState", value::whole).await?),
-            max_brightness: abilities.read("MaxBrightness", value::whole).await?.unwrap_or(0).max(0),
-        })
+        let cover = present(abilities.read("CoverState", value::whole).await?);
+        let calibrator = present(abilities.read("CalibratorState", value::whole).await?);
+        // A panel can be lit.
+        let brightness = value::whole_in(i64::from(calibrator)..=i64::from(i32::MAX));
+        let max_brightness = abilities.read("MaxBrightness", brightness).await?.unwrap_or(0);
+        Ok(Capabilities { cover, calibrator, max_brightness })
     }
 
     fn fields(&self, readings: &Readings) -> Fields {

@@ -13,6 +13,9 @@ use crate::readings::Readings;
 /// A rotator that rests so long next to where it was sent has ended its turn, sky s: some begin to move late.
 const RESTS_S: f64 = 3.0;
 
+/// With longer steps it could not be turned to where it is wanted, degrees.
+const LONGEST_STEP_DEG: f64 = 90.0;
+
 /// Drives a rotator.
 #[derive(Debug, Default)]
 pub struct Rotator {
@@ -45,8 +48,9 @@ impl Driver for Rotator {
     }
 
     async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
-        let step_deg =
-            abilities.read("StepSize", value::number).await?.ok().filter(|step| *step > 0.0 && *step < 360.0);
+        let step_deg = abilities.read("StepSize", value::number_in(0.0..=LONGEST_STEP_DEG)).await?;
+        // A step of 0 is none.
+        let step_deg = step_deg.ok().filter(|step| *step > 0.0);
         *self.step_deg.lock().unwrap_or_else(PoisonError::into_inner) = step_deg;
         Ok(Capabilities { reverse: abilities.can("CanReverse").await?, step_deg })
     }

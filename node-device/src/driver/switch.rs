@@ -83,7 +83,7 @@ impl Driver for Switch {
     }
 
     async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
-        let count = abilities.read("MaxSwitch", value::whole).await?.unwrap_or(0).clamp(0, MOST);
+        let count = abilities.read("MaxSwitch", value::whole_in(0..=i64::from(i16::MAX))).await?.unwrap_or(0).min(MOST);
         // A switch without these has two values; those that could not be read are no limits.
         let bound = |answer: &Result<f64, NoData>, of_two: f64, unread: f64| match answer {
             Ok(bound) => *bound,
@@ -93,8 +93,18 @@ impl Driver for Switch {
         let (mut switches, mut scales) = (Vec::new(), Vec::new());
         for number in 0..count {
             let id = Some(number);
-            let low = abilities.read_of("MinSwitchValue", id, value::number).await?;
-            let high = abilities.read_of("MaxSwitchValue", id, value::number).await?;
+            let mut low = abilities.read_of("MinSwitchValue", id, value::number).await?;
+            let mut high = abilities.read_of("MaxSwitchValue", id, value::number).await?;
+            if let (Ok(least), Ok(most)) = (&low, &high)
+                && least > most
+            {
+                let detail = format!("MinSwitchValue is {least:?}, and MaxSwitchValue only {most:?}");
+                let why = NoData::new("wrong type", detail);
+                for property in ["MinSwitchValue", "MaxSwitchValue"] {
+                    abilities.doubt(&format!("{property}({number})"), &why);
+                }
+                (low, high) = (Err(why.clone()), Err(why));
+            }
             let step = abilities.read_of("SwitchStep", id, value::number).await?.ok().filter(|step| *step > 0.0);
             switches.push(SwitchDescription {
                 name: abilities.read_of("GetSwitchName", id, value::text).await?.unwrap_or_default(),

@@ -24,6 +24,9 @@ const MOST_ARCSEC_PER_S: f64 = 20_000.0;
 /// The same in right ascension, s per sidereal second: near the pole that coordinate runs faster.
 const MOST_RA_S_PER_SIDEREAL_S: f64 = 20_000.0;
 
+/// No mount guides faster: this is 240 times as fast as the stars, degrees per second.
+const MOST_GUIDE_DEG_PER_S: f64 = 1.0;
+
 /// A pulse that takes so long is seen as one for long.
 const LONG_PULSE_MS: u32 = 15_000;
 
@@ -446,8 +449,8 @@ fn parks_unseen(fields: &Fields) -> Progress {
 
 /// A guide rate, degrees per second; `None` if it is no speed.
 async fn guide_rate(abilities: &mut Abilities, property: &str) -> Result<Option<f64>, AlpacaError> {
-    let rate = abilities.read(property, value::number).await?;
-    Ok(rate.ok().filter(|rate| rate.is_finite() && *rate > 0.0))
+    let rate = abilities.read(property, value::number_in(0.0..=MOST_GUIDE_DEG_PER_S)).await?;
+    Ok(rate.ok().filter(|rate| *rate > 0.0))
 }
 
 /// Right ascension as ASCOM wants it, hours in [0, 24).

@@ -111,6 +111,14 @@ impl Copy {
         })
     }
 
+    /// Takes the tokens that the device node reports. One that has lost its file reports lower ones until its next grant.
+    pub fn raise_tokens(&mut self, reported: BTreeMap<String, u64>) {
+        for (telescope, token) in reported {
+            let known = self.tokens.entry(telescope).or_default();
+            *known = token.max(*known);
+        }
+    }
+
     /// Whether both close the same domes in the same way; tokens and the bus do not matter for that.
     pub fn closes_as(&self, other: &Self) -> bool {
         self.domes == other.domes
@@ -184,6 +192,15 @@ pub mod tests {
         let copy = copy();
         assert_eq!((copy.domes[0].target.number, copy.domes[0].mounts.len()), (3, 1));
         assert_eq!(Copy::unsealed(&copy.sealed(7).unwrap()), Some((7, copy)));
+    }
+
+    #[test]
+    fn a_copy_keeps_the_highest_token_of_each_telescope() {
+        let mut copy = copy();
+        for (reported, known) in [(0, 0), (41, 41), (0, 41), (42, 42)] {
+            copy.raise_tokens(BTreeMap::from([("t".to_owned(), reported)]));
+            assert_eq!(copy.tokens["t"], known);
+        }
     }
 
     #[test]

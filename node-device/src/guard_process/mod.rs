@@ -26,6 +26,9 @@ mod task;
 pub use complaint::RESTART;
 pub use task::main;
 
+use std::collections::BTreeMap;
+use std::path::Path;
+
 use node::NodeOptions;
 
 use self::copy::Copy;
@@ -35,6 +38,11 @@ use self::places::Places;
 pub const GUARD_LOCK: &str = "guard-lock";
 /// Locked by the device node.
 pub const NODE_LOCK: &str = "node-lock";
+
+/// The highest tokens that the guard process of a device node remembers, by telescope; none before the first night.
+pub fn remembered_tokens(config: &Path, id: &str) -> BTreeMap<String, u64> {
+    Places::of(config, id).copy().map(|(_, copy)| copy.tokens).unwrap_or_default()
+}
 
 /// Does this node look after an enclosure, by its configuration or, where that cannot be read, by the last one that
 /// worked?

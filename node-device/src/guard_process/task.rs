@@ -187,7 +187,7 @@ impl<'a> Work<'a> {
         if self.end_by.is_none() {
             self.end_by = Some(Instant::now() + limit);
             self.watch.end();
-            tracing::warn!(
+            tracing::info!(
                 within_s = limit.as_secs(),
                 "ending: what is open is closed first; a second signal ends at once"
             );
@@ -221,7 +221,7 @@ impl<'a> Work<'a> {
         }
         let mut worked = tried.clone();
         worked.tokens = self.good.as_ref().map(|(_, copy)| copy.tokens.clone()).unwrap_or_default();
-        worked.tokens.extend(report.tokens);
+        worked.raise_tokens(report.tokens);
         if self.good.as_ref().is_some_and(|(_, good)| *good == worked) {
             return;
         }
@@ -474,7 +474,7 @@ impl<'a> Work<'a> {
                 None
             }
             ProcessEnd::Closed => {
-                tracing::warn!(domes = self.names(), "closed; the guard process ends");
+                tracing::info!(domes = self.names(), "closed; the guard process ends");
                 for dome in &self.leaving {
                     let next = "nobody answers there; the next start looks for it again";
                     tracing::warn!(dome = dome.name, next, "a dome that the configuration named before was not seen");

@@ -10,9 +10,11 @@ use crate::deciding;
 use crate::driver::Driver;
 use crate::polling::{LANES, Poll, Wanted};
 
-/// A loop that wakes up so much later than planned was stalled: its process was stopped, its runtime was blocked,
-/// or its host slept.
-const STALL: Duration = Duration::from_secs(2);
+/// A loop turns at least so often, also while it waits for an answer ...
+pub(super) const LOOK: Duration = Duration::from_secs(1);
+/// ... and one that has not for so long was stalled: its process was stopped, its runtime was blocked, or its host slept. A busy
+/// machine alone is not so late.
+pub(super) const STALL: Duration = Duration::from_millis(2750);
 /// A reading from before a stall is not published again; the device has so long to answer anew.
 const READ_ANEW: Duration = Duration::from_millis(2500);
 
@@ -23,7 +25,7 @@ impl<D: Driver> Loop<D> {
         self.running.is_none() && self.serve.driver.moving().is_empty() && !self.deciding().is_empty()
     }
 
-    fn deciding(&self) -> Vec<String> {
+    pub(super) fn deciding(&self) -> Vec<String> {
         let polled = self.has.present(self.serve.driver.polled().into_iter());
         deciding::properties(&self.serve.node.config, &self.serve.device, &polled)
     }
@@ -91,9 +93,13 @@ impl<D: Driver> Loop<D> {
     /// that.
     pub(super) fn pace(&mut self, poll: &Poll) {
         let took = poll.began_at.elapsed();
-        self.each = took / u32::try_from(poll.answers.len().max(1)).unwrap_or(1);
+        // The time that was waited for an answer that did not come does not show how fast others come.
+        let answers = poll.silent().is_none();
+        if answers {
+            self.each = took / u32::try_from(poll.answers.len().max(1)).unwrap_or(1);
+        }
         self.one_lane |= poll.crowded;
-        let slow = (poll.answers.len() > 1 || !poll.unasked.is_empty()) && took > self.period() / 2;
+        let slow = answers && (poll.answers.len() > 1 || !poll.unasked.is_empty()) && took > self.period() / 2;
         if poll.full {
             self.parts.extend(poll.unasked.iter().cloned());
         } else {
@@ -112,12 +118,8 @@ impl<D: Driver> Loop<D> {
     pub(super) fn stood_still(&mut self) -> bool {
         let clock = self.serve.node.bus.clock().clone();
         let now = clock.machine();
-        let (since, meant) = std::mem::replace(&mut self.waits, (now, Duration::ZERO));
-        let stalled = now.since(since).saturating_sub(meant);
-        if stalled < STALL {
-            return false;
-        }
-        let detail = format!("this node was stalled for {:.1} s", stalled.as_secs_f64());
+        let Some(since) = self.looks.stood_still_since(now) else { return false };
+        let detail = format!("this node was stalled for {:.1} s", now.since(since).as_secs_f64());
         tracing::warn!(device = %self.serve.device, "{detail}; what was read before is dropped");
         self.polling = None;
         self.readings.drop_polled(&NoData::new("stale", detail), clock.utc());

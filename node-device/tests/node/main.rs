@@ -9,6 +9,7 @@ mod fake;
 mod lease;
 mod limits;
 mod odd_answers;
+mod outages;
 mod proof;
 mod rates;
 mod stage;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use bus::{Catch, Clock};
 use contract::device::DeviceDescription;
 use contract::device::camera::Frame;
-use contract::device::{camera, dome, filter_wheel, focuser, telescope};
+use contract::device::{camera, cover_calibrator, dome, filter_wheel, focuser, rotator, switch, telescope};
 use contract::{CommandOutcome, Key, Kind, Link};
 use serde_json::{Value, json};
 use test_support::LIMIT;
@@ -279,5 +279,104 @@ async fn a_wheel_that_cannot_name_its_filters_at_first_is_asked_until_it_can() {
     assert_eq!((wheel.can.names, wheel.can.focus_offsets), (vec!["R".to_owned(), "G".to_owned()], vec![0, 12]));
     let named = |state: &contract::DeviceState<filter_wheel::Fields>| state.fields.filter.known().is_some();
     stage.until::<filter_wheel::FilterWheel>("wheel", named).await;
+    stage.end().await;
+}
+
+/// A limit that was believed once would refuse every row of the night, although the device is well again.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_limit_that_cannot_be_is_unknown_named_and_asked_again() {
+    let answer = |hardware: &Fake, answers: &[(&str, Value)]| {
+        answers.iter().for_each(|(member, value)| hardware.answer(member, FakeAnswer::Value(value.clone())));
+    };
+    let camera = a_camera().await;
+    answer(&camera, &[("exposuremin", json!(1e300)), ("exposuremax", json!(-1)), ("maxbinx", json!(0))]);
+    answer(&camera, &[("exposureresolution", json!(1e9)), ("maxadu", json!("NaN")), ("cameraxsize", json!(-3))]);
+    let focuser = a_focuser(&[("maxstep", json!(-1)), ("maxincrement", json!(1e12))]).await;
+    let position = [("position", json!(0.0)), ("mechanicalposition", json!(0.0)), ("ismoving", json!(false))];
+    let rotator = Fake::start(&position).await;
+    answer(&rotator, &[("stepsize", json!(1e300))]);
+    let panel = Fake::start(&[("coverstate", json!(0)), ("calibratorstate", json!(1)), ("brightness", json!(0))]).await;
+    answer(&panel, &[("maxbrightness", json!(-5))]);
+    let switches = Fake::start(&[("maxswitch", json!(1)), ("getswitchvalue", json!(0.0))]).await;
+    answer(&switches, &[("minswitchvalue", json!(5.0)), ("maxswitchvalue", json!(-5.0)), ("switchstep", json!(1.0))]);
+    let devices = [
+        ("camera", "cam", &camera),
+        ("focuser", "focus", &focuser),
+        ("rotator", "rotator", &rotator),
+        ("covercalibrator", "panel", &panel),
+        ("switch", "switches", &switches),
+    ];
+    let blocks: String = devices.map(|(kind, name, hardware)| block(kind, name, hardware, "period_s = 0.2")).concat();
+    let stage = Stage::start(&blocks).await;
+    let has = |unread: &std::collections::BTreeMap<String, contract::NoData>, names: &[&str]| {
+        names.iter().all(|name| unread.contains_key(*name))
+    };
+    let names = ["CameraXSize", "ExposureMax", "ExposureMin", "ExposureResolution", "MaxADU", "MaxBinX"];
+    let unknown = described::<camera::Camera>(&stage, "cam", |cam| has(&cam.unread, &names)).await.can;
+    assert_eq!((unknown.exposure_min_s, unknown.exposure_max_s, unknown.exposure_step_s), (None, None, None));
+    assert_eq!((unknown.max_bin, unknown.width_px, unknown.max_adu.known()), (0, 0, None));
+    let cause = alert(&stage, "device-unread/camera/cam").await;
+    assert!(cause.contains("ExposureMin (wrong type: 1e300 is not possible; expected 0.0 to 60.0)"), "{cause}");
+    let pair = ["MaxStep", "MaxIncrement"];
+    let unknown = described::<focuser::Focuser>(&stage, "focus", |focus| has(&focus.unread, &pair)).await.can;
+    assert_eq!((unknown.last_position(), unknown.max_increment), (None, None));
+    described::<rotator::Rotator>(&stage, "rotator", |rotator| has(&rotator.unread, &["StepSize"])).await;
+    described::<cover_calibrator::CoverCalibrator>(&stage, "panel", |panel| has(&panel.unread, &["MaxBrightness"]))
+        .await;
+    let pair = ["MinSwitchValue(0)", "MaxSwitchValue(0)"];
+    let unknown = described::<switch::Switch>(&stage, "switches", |switch| has(&switch.unread, &pair)).await.can;
+    assert_eq!((unknown.switches[0].minimum, unknown.switches[0].maximum), (f64::MIN, f64::MAX));
+
+    answer(&camera, &[("exposuremin", json!(0.001)), ("exposuremax", json!(3600)), ("maxbinx", json!(4))]);
+    answer(&camera, &[("exposureresolution", json!(0.0)), ("maxadu", json!(65535)), ("cameraxsize", json!(3))]);
+    answer(&focuser, &[("maxstep", json!(5000)), ("maxincrement", json!(400))]);
+    answer(&switches, &[("minswitchvalue", json!(-5.0)), ("maxswitchvalue", json!(5.0))]);
+    let known = described::<camera::Camera>(&stage, "cam", |cam| cam.unread.is_empty()).await.can;
+    assert_eq!((known.exposure_min_s, known.exposure_max_s, known.exposure_step_s), (Some(0.001), Some(3600.0), None));
+    assert_eq!((known.max_bin, known.width_px, known.max_adu.known()), (4, 3, Some(&65535.0)));
+    let known = described::<focuser::Focuser>(&stage, "focus", |focus| focus.unread.is_empty()).await.can;
+    assert_eq!((known.last_position(), known.max_increment), (Some(5000), Some(400)));
+    let known = described::<switch::Switch>(&stage, "switches", |switch| switch.unread.is_empty()).await.can;
+    assert_eq!((known.switches[0].minimum, known.switches[0].maximum), (-5.0, 5.0));
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn of_a_shortest_exposure_that_is_longer_than_the_longest_nobody_knows_which_is_wrong() {
+    let hardware = a_camera().await;
+    hardware.answer("exposuremin", FakeAnswer::Value(json!(20.0)));
+    hardware.answer("exposuremax", FakeAnswer::Value(json!(10.0)));
+    let stage = Stage::start(&block("camera", "cam", &hardware, "period_s = 0.2")).await;
+    let unknown = described::<camera::Camera>(&stage, "cam", |cam| cam.unread.contains_key("ExposureMax")).await;
+    assert_eq!(unknown.unread.keys().collect::<Vec<_>>(), ["ExposureMax", "ExposureMin"]);
+    assert_eq!((unknown.can.exposure_min_s, unknown.can.exposure_max_s), (None, None));
+    hardware.answer("exposuremin", FakeAnswer::Value(json!(0.02)));
+    let known = described::<camera::Camera>(&stage, "cam", |cam| cam.unread.is_empty()).await.can;
+    assert_eq!((known.exposure_min_s, known.exposure_max_s), (Some(0.02), Some(10.0)));
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_ragged_image_is_told_as_a_fault_of_the_cameras_answer_and_not_of_the_disk() {
+    let hardware = a_camera().await;
+    hardware.answer("imagearray", FakeAnswer::Value(json!([[1, 2], [3], [5, 6]])));
+    let stage = Stage::start(&block("camera", "cam", &hardware, "period_s = 0.2")).await;
+    stage.until::<camera::Camera>("cam", |state| state.link == Link::Connected).await;
+    let go = expose("f0", 0.1);
+    accepted(&stage.command(Kind::Camera, "cam", &go).await);
+    let cause = alert(&stage, "image-unreadable/cam").await;
+    stage.until::<camera::Camera>("cam", |state| state.has_done(&go.id)).await;
+    assert!(cause.starts_with("frame f0 could not be kept: what cam answered as its image cannot be read"), "{cause}");
+    assert!(cause.contains("its lists are of different length, such as 2 and 1 values"), "{cause}");
+    let ids = |stage: &Stage| -> Vec<String> {
+        let alerts = stage.node().alerts.watch().borrow().alerts.clone();
+        alerts.into_iter().filter(|alert| alert.returned_utc.is_none()).map(|alert| alert.id).collect()
+    };
+    assert!(!ids(&stage).iter().any(|id| id.starts_with("spool-cannot-write")), "{:?}", ids(&stage));
+    hardware.answer("imagearray", FakeAnswer::Value(json!([[1, 2], [3, 4], [5, 6]])));
+    accepted(&stage.command(Kind::Camera, "cam", &expose("f1", 0.1)).await);
+    let mut alerts = stage.node().alerts.watch();
+    let is_over = alerts.wait_for(|alerts| alerts.alerts.iter().all(|alert| alert.id != "image-unreadable/cam"));
+    tokio::time::timeout(LIMIT, is_over).await.unwrap().unwrap();
     stage.end().await;
 }

@@ -185,6 +185,33 @@ async fn a_slow_station_reports_rain_in_time_for_the_dome_to_close_within_8_s() 
     assert!(several < Duration::from_millis(7500) && one < Duration::from_millis(7500), "{several:?}, {one:?}");
 }
 
+// The time from the end of an outage to the first reading after it is measured. A monitor's reading may be 5 s old, and is up to
+// a period old when the outage begins.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_monitor_whose_server_hangs_for_3_5_s_is_read_again_before_its_reading_is_5_s_old() {
+    let hardware = Fake::start(&[("issafe", json!(true))]).await;
+    let stage = Stage::start(&block("safetymonitor", "monitor", &hardware, "period_s = 1")).await;
+    stage.until::<SafetyMonitor>("monitor", |state| state.fields.gapless_safe_s > 1.5).await;
+    let states = stage.states::<SafetyMonitor>("monitor").await;
+    hardware.hang(true);
+    until("a question hangs", || hardware.hanging() > 0).await;
+    tokio::time::sleep(Duration::from_millis(3500)).await;
+    let (ended, lateness) = (Instant::now(), Lateness::begin());
+    hardware.hang(false);
+    let reading = async {
+        loop {
+            let state = states.recv().await.sample.body;
+            let is_new = state.age_s("IsSafe").is_some_and(|age_s| age_s < 1.0);
+            if is_new && state.fields.is_safe.known() == Some(&true) {
+                return;
+            }
+        }
+    };
+    tokio::time::timeout(LIMIT, reading).await.unwrap();
+    assert!(ended.elapsed() < lateness.bound(Duration::from_millis(500)), "{:?}", ended.elapsed());
+    stage.end().await;
+}
+
 // The age of what is published after a stall is measured, against a stall of some seconds on the real clock.
 /// Real threads: what is stalled here is the runtime of the node itself.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

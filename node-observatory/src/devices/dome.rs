@@ -300,7 +300,7 @@ mod tests {
                 if is_opening {
                     opens.put(dome_state(Shutter::Open)).await.unwrap();
                 }
-                Reply::Accepted(Accepted { id: command.id, token: None })
+                Reply::Accepted(Accepted { id: command.id, token: None, not_written: None })
             }
         };
         let _service = bus.serve(&Key::Command(device.clone()), answer).await.unwrap();
@@ -360,7 +360,7 @@ mod tests {
                 if is_opening {
                     opens.put(dome_state(Shutter::Open)).await.unwrap();
                 }
-                Reply::Accepted(Accepted { id, token: None })
+                Reply::Accepted(Accepted { id, token: None, not_written: None })
             }
         };
         let _service = bus.serve(&Key::Command(device.clone()), answer).await.unwrap();

@@ -134,6 +134,8 @@ fn update(hold: &watch::Sender<Hold>, state: LeaseState, now: Utc, why: &str) {
     match state {
         _ if !is_new => {}
         LeaseState::Asking => tracing::warn!("the lease is in doubt; asking again"),
+        // As at each start.
+        LeaseState::Claiming if why.is_empty() => tracing::info!("nobody is known to command; this node asks to"),
         LeaseState::Claiming => tracing::warn!(why, "nobody is known to command"),
         LeaseState::Standby => tracing::info!(why, "standing by: somebody else commands"),
         LeaseState::Holding { token } => tracing::info!(token, "this node commands"),

@@ -41,11 +41,11 @@ pub async fn close_first(authority: Arc<Authority>, leaves_alone: Arc<AtomicBool
     let stands_by = received_at.is_some_and(|at| now.since(at) <= STANDS_BY);
     let commands = authority.hold.borrow().token().is_some();
     if commands && stands_by {
-        tracing::warn!(
+        tracing::info!(
             "the node was asked to end; another observatory node is on standby and takes over, so nothing is closed"
         );
     } else if commands {
-        tracing::warn!(within_s = CLOSE_WITHIN.as_secs(), "the node was asked to end; everything is closed first");
+        tracing::info!(within_s = CLOSE_WITHIN.as_secs(), "the node was asked to end; everything is closed first");
         let closing = authority.close("the observatory node was asked to end and no other one is on standby");
         let is_closed = tokio::time::timeout(CLOSE_WITHIN, closing).await.is_ok();
         authority.node.ends_closed(is_closed);

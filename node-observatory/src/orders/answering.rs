@@ -9,7 +9,7 @@ use bus::Service;
 use contract::audit::AuditOutcome;
 use contract::observatory::OrderTaken;
 use contract::order_form::{LONGEST_REASON, check_reason};
-use contract::{CommandId, Key, Order, OrderKind, Reason, Reply};
+use contract::{Accepted, CommandId, Key, Order, OrderKind, Reason, Reply};
 use safety::operators::{self, Refused, Weighed};
 use units::Angle;
 
@@ -76,7 +76,7 @@ impl OrderServer {
     /// A repeated order is answered again and not followed again.
     async fn answer_once(&self, order: &Order) -> Reply {
         if let Some(reply) = self.answered(&order.id) {
-            return reply;
+            return self.settled(order, reply).await;
         }
         if let Err(why) = check_reason(&order.reason) {
             let cut = Order { reason: order.reason.chars().take(LONGEST_REASON).collect(), ..order.clone() };
@@ -101,8 +101,7 @@ impl OrderServer {
                 self.hand_over(order, &weighed, &reply);
             }
             self.remember(order, &reply);
-            execution::settle(&self.telescope).await;
-            return reply;
+            return self.settled(order, reply).await;
         }
         // A disk that hangs holds the turn for ever; those who wait for it must not keep out who closes.
         let Ok(_turn) = tokio::time::timeout(TURN, self.turn.lock()).await else {
@@ -124,6 +123,18 @@ impl OrderServer {
         };
         self.remember(order, &reply);
         reply
+    }
+
+    /// The answer to an order that acted at once says whether it is on disk now; that to its repeat, too.
+    async fn settled(&self, order: &Order, reply: Reply) -> Reply {
+        if !execution::acts_at_once(&order.kind) {
+            return reply;
+        }
+        let not_written = execution::settle(&self.telescope).await;
+        match reply {
+            Reply::Accepted(accepted) => Reply::Accepted(Accepted { not_written, ..accepted }),
+            refusal @ Reply::Refusal(_) => refusal,
+        }
     }
 
     fn weigh(&self, order: &Order) -> Result<Weighed, Refused> {

@@ -26,7 +26,7 @@ use crate::robotic;
 use crate::schedule_file::versions::Author;
 use crate::schedule_file::{self, ScheduleFile};
 
-/// An order that acted at once is answered when it is on disk and on the bus too, or after this.
+/// An order that acted at once is answered when the disk has taken or refused it and it is on the bus, or after this.
 const SETTLED: Duration = Duration::from_secs(1);
 
 /// A set point that is corrected at once waits so long for the camera to end the one before it; an exposure may last.
@@ -74,7 +74,7 @@ impl Tightened {
 
 /// Does this order act before the disk has it?
 pub fn acts_at_once(kind: &OrderKind) -> bool {
-    kind.only_tightens() || matches!(kind, OrderKind::ReloadSchedule)
+    kind.only_tightens()
 }
 
 /// Follows an order that acts at once.
@@ -92,7 +92,6 @@ pub fn at_once(telescope: &Telescope, tightened: &Tightened, order: &Order) -> R
             // Also when it was off already.
             telescope.authority.close_request.send_replace(Some(why));
         }
-        OrderKind::ReloadSchedule => telescope.schedule_file.reload.send_modify(|count| *count += 1),
         OrderKind::StayClosed(_) => {
             tightened.note();
             let ordered_by = ordered_by(telescope, order);
@@ -109,7 +108,8 @@ pub fn at_once(telescope: &Telescope, tightened: &Tightened, order: &Order) -> R
             }
             tightened.note();
         }
-        OrderKind::Acknowledge(_)
+        OrderKind::ReloadSchedule
+        | OrderKind::Acknowledge(_)
         | OrderKind::Shelve { .. }
         | OrderKind::Unshelve(_)
         | OrderKind::PutSchedule { .. }
@@ -122,10 +122,16 @@ pub fn at_once(telescope: &Telescope, tightened: &Tightened, order: &Order) -> R
     accept(&order.id)
 }
 
-/// Waits a moment until what acted at once is on disk and on the bus.
-pub async fn settle(telescope: &Telescope) {
-    let settled = async {
-        telescope.orders.orders.on_disk().await;
+/// Waits a moment until what acted at once is on disk and on the bus. Returns the file and the error where it is not on
+/// disk.
+pub async fn settle(telescope: &Telescope) -> Option<String> {
+    let journal = telescope.journal.clone();
+    let switch = tokio::task::spawn_blocking(move || journal.write_switch());
+    let on_disk = async {
+        telescope.orders.orders.write().await?;
+        switch.await.map_err(std::io::Error::other)?
+    };
+    let on_bus = async {
         let mut published = telescope.orders.published.subscribe();
         // The sender lives as long as the telescope, so waiting cannot fail.
         let _ = published
@@ -136,7 +142,14 @@ pub async fn settle(telescope: &Telescope) {
             })
             .await;
     };
-    let _ = tokio::time::timeout(SETTLED, settled).await;
+    let (written, _) = tokio::join!(tokio::time::timeout(SETTLED, on_disk), tokio::time::timeout(SETTLED, on_bus));
+    match written {
+        Ok(written) => written.err().map(|error| error.to_string()),
+        Err(_) => {
+            let data = telescope.authority.node.config.folders.data.display();
+            Some(format!("{data}: no answer of the disk within {} s", SETTLED.as_secs()))
+        }
+    }
 }
 
 /// Follows an order that is on disk before it acts.
@@ -187,7 +200,8 @@ pub async fn when_written(telescope: &Telescope, tightened: &Tightened, order: &
         },
         OrderKind::Skip(row) => telescope.rows.skip(row, order, ordered_by.at_utc).await,
         OrderKind::Repeat(row) => telescope.rows.repeat(row, order, ordered_by.at_utc).await,
-        OrderKind::Close | OrderKind::ReloadSchedule => Ok(()),
+        OrderKind::ReloadSchedule => schedule_file::reload(&telescope.schedule_file).await,
+        OrderKind::Close => Ok(()),
     };
     match done {
         Ok(()) => accept(&order.id),
@@ -277,7 +291,7 @@ pub fn ordered_by(telescope: &Telescope, order: &Order) -> OrderedBy {
 }
 
 fn accept(id: &CommandId) -> Reply {
-    Reply::Accepted(Accepted { id: id.clone(), token: None })
+    Reply::Accepted(Accepted { id: id.clone(), token: None, not_written: None })
 }
 
 /// A refusal, for people and programs.

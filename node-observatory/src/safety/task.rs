@@ -118,16 +118,18 @@ fn report(alerts: &node::NodeAlerts, doubts: &[Doubt]) {
 
 /// Begins with what the incarnation before received, as far as it fits.
 fn go_on(history: &mut History, rules: &Rules, stored: Result<Option<StoredHistory>, String>, moment: &Moment) {
-    let restored = stored.and_then(|stored| stored.map(|stored| history.restore(rules, &stored, moment)).transpose());
-    match restored {
+    let does_not_count = "what was received before the restart does not count";
+    // A file that is old, as each evening, is as good as none: the dwell runs, and the verdict says so.
+    match stored.map(|stored| stored.map(|stored| history.restore(rules, &stored, moment))) {
         Ok(None) => {}
-        Ok(Some(passed_over)) => {
+        Ok(Some(Ok(passed_over))) => {
             tracing::info!(left_out = passed_over.len(), "what was received before the restart counts");
             for (input, why) in passed_over {
-                tracing::warn!(input, why, "what was received before the restart does not count");
+                tracing::info!(input, why, "{does_not_count}");
             }
         }
-        Err(why) => tracing::warn!(why, "what was received before the restart does not count"),
+        Ok(Some(Err(why))) => tracing::info!(why, "{does_not_count}"),
+        Err(why) => tracing::warn!(why, "{does_not_count}"),
     }
 }
 

@@ -11,6 +11,7 @@ use schedule::{Row, read_text, validate};
 use tokio::sync::watch;
 
 use super::{ActiveText, ScheduleFile};
+use crate::persisted::Unchanged;
 use crate::schedule_file::versions::{Author, sha256};
 
 /// The schedule as it was last read.
@@ -26,6 +27,18 @@ pub struct Loaded {
     pub refused: Option<String>,
 }
 
+/// What came of the newest reading of the file.
+#[derive(Debug, Clone, Default)]
+pub struct FileReading {
+    /// Orders to read it that were given before.
+    asked: u64,
+    /// Why it was not taken.
+    refused: Option<String>,
+}
+
+/// An order to read the file is answered within this: a disk may hang.
+const READ_WITHIN: Duration = Duration::from_secs(10);
+
 /// How often the file is looked at, machine time: one question to the file system, and a change is active within 1 s
 /// also on a machine that is busy.
 const LOOK: Duration = Duration::from_millis(250);
@@ -39,16 +52,33 @@ type Mark = Option<(SystemTime, u64)>;
 /// commands, each good text is kept as a version.
 pub async fn keep_reading(file: Arc<ScheduleFile>, loaded: watch::Sender<Loaded>) -> anyhow::Result<()> {
     let (path, mut ordered) = (file.authority.node.config.schedule.file.clone(), file.reload.subscribe());
-    let mut read: Option<Mark> = None;
+    let mut read: Option<(Mark, u64)> = None;
     let mut unkept: Option<(String, usize)> = None;
+    let (mut is_missing, mut is_missed) = (false, None);
     let mut keep_after = tokio::time::Instant::now();
     loop {
-        let mark = mark(&path).await;
-        if read != Some(mark) {
+        let (mark, asked) = (mark(&path).await, *ordered.borrow_and_update());
+        if read != Some((mark, asked)) {
             // A file that is being written is read again when it has come to rest.
             let text = read_file(path.clone(), file.clone()).await;
-            unkept = take(&file, &loaded, text).or(unkept);
-            read = Some(mark);
+            let taken = take(&file, &loaded, text);
+            (is_missing, is_missed) = (matches!(taken, FileOutcome::Nothing), None);
+            let refused = match taken {
+                FileOutcome::Rows(text, rows) => {
+                    unkept = Some((text, rows));
+                    None
+                }
+                FileOutcome::Nothing => Some(missing(&path)),
+                FileOutcome::Refused(why) => Some(why),
+            };
+            if read.is_none_or(|(_, before)| before != asked) {
+                keep_after = tokio::time::Instant::now();
+            }
+            read = Some((mark, asked));
+            file.read.send_replace(FileReading { asked, refused });
+        }
+        if is_missing {
+            is_missed = Some(note_missing(&file, &path, is_missed));
         }
         // A standby may share the folder: the commander keeps the versions.
         if unkept.is_some()
@@ -62,12 +92,55 @@ pub async fn keep_reading(file: Arc<ScheduleFile>, loaded: watch::Sender<Loaded>
         }
         tokio::select! {
             () = tokio::time::sleep(LOOK) => {}
-            changed = ordered.changed() => {
-                changed?;
-                (read, keep_after) = (None, tokio::time::Instant::now());
-            }
+            changed = ordered.changed() => changed?,
         }
     }
+}
+
+/// Has the file read again.
+///
+/// # Errors
+///
+/// It is not taken, and why: what was read before it stays in force.
+pub async fn reload(file: &ScheduleFile) -> Result<(), Unchanged> {
+    let (mut read, mut asked) = (file.read.subscribe(), 0);
+    file.reload.send_modify(|count| {
+        *count += 1;
+        asked = *count;
+    });
+    let reading = tokio::time::timeout(READ_WITHIN, read.wait_for(|reading| reading.asked >= asked)).await;
+    match reading.map(|reading| reading.map(|reading| reading.refused.clone())) {
+        Ok(Ok(None)) => Ok(()),
+        Ok(Ok(Some(why))) => Err(Unchanged::Refused(why)),
+        Ok(Err(_)) | Err(_) => {
+            let path = file.authority.node.config.schedule.file.display();
+            let within_s = READ_WITHIN.as_secs();
+            Err(Unchanged::Refused(format!(
+                "{path}: not read within {within_s} s; it is read when its disk answers, which is to be looked at"
+            )))
+        }
+    }
+}
+
+/// For people: there is no schedule, and none was read before.
+fn missing(path: &Path) -> String {
+    format!("{}: there is no such file; write the schedule there, or put one by order", path.display())
+}
+
+/// While there is no schedule and the robotic switch is on, that is an alert: nothing is observed. `before` is what this
+/// returned last.
+fn note_missing(file: &ScheduleFile, path: &Path, before: Option<bool>) -> bool {
+    let is_missed = *file.authority.robotic.borrow() && file.authority.is_publishing();
+    let alerts = &file.authority.node.alerts;
+    match is_missed {
+        _ if before == Some(is_missed) => {}
+        true => {
+            let cause = format!("{}. The robotic switch is on, and nothing is observed", missing(path));
+            alerts.raise(AlertKind::ScheduleRefused, "", &cause);
+        }
+        false => alerts.clear(AlertKind::ScheduleRefused, ""),
+    }
+    is_missed
 }
 
 /// The rows of a text, or all that is wrong with it. Blocks.
@@ -100,12 +173,18 @@ async fn read_file(path: PathBuf, file: Arc<ScheduleFile>) -> Result<ReadFile, S
     read.map_err(|why| format!("{name}: {why}"))
 }
 
-/// Puts what was read in force, or reports why not; returns the text to store.
-fn take(
-    file: &ScheduleFile,
-    loaded: &watch::Sender<Loaded>,
-    read: Result<ReadFile, String>,
-) -> Option<(String, usize)> {
+/// What came of what was read.
+enum FileOutcome {
+    /// It is in force: the text, and its number of rows.
+    Rows(String, usize),
+    /// There is no file, and no rows of an earlier one.
+    Nothing,
+    /// It is not in force, and why.
+    Refused(String),
+}
+
+/// Puts what was read in force, or reports why not.
+fn take(file: &ScheduleFile, loaded: &watch::Sender<Loaded>, read: Result<ReadFile, String>) -> FileOutcome {
     let alerts = &file.authority.node.alerts;
     let path = file.authority.node.config.schedule.file.display();
     let why = match read {
@@ -119,21 +198,20 @@ fn take(
                 loaded.sha256 = sha256;
                 loaded.refused = None;
             });
-            return Some((text, count));
+            return FileOutcome::Rows(text, count);
         }
         // It is written later, or put by an order.
         Ok(None) if loaded.borrow().rows.is_empty() => {
             tracing::info!(file = %path, "there is no schedule yet");
-            alerts.clear(AlertKind::ScheduleRefused, "");
             loaded.send_modify(|loaded| loaded.refused = None);
-            return None;
+            return FileOutcome::Nothing;
         }
         Ok(None) => format!("{path}: cannot be read: the file is gone; the rows that were read last stay in force"),
         Err(why) => why,
     };
     alerts.raise(AlertKind::ScheduleRefused, "", &why);
-    loaded.send_modify(|loaded| loaded.refused = Some(why));
-    None
+    loaded.send_modify(|loaded| loaded.refused = Some(why.clone()));
+    FileOutcome::Refused(why)
 }
 
 /// Keeps a text as a version, unless it is the newest already or another is active by now; returns it again where the disk

@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex};
 use schedule::names::KnownNames;
 use tokio::sync::watch;
 
-pub use file::Loaded;
+pub use file::{FileReading, Loaded, reload};
 pub use put::put;
 
 use self::earlier_nights::EarlierNights;
@@ -38,6 +38,8 @@ pub struct ScheduleFile {
     pub versions: Versions,
     /// Counts orders to read the file again.
     pub reload: watch::Sender<u64>,
+    /// What came of the newest reading.
+    pub read: watch::Sender<FileReading>,
     /// The text that is active; held by whoever replaces it.
     pub active: Mutex<Option<ActiveText>>,
     /// The archive's telemetry, for forecasts.

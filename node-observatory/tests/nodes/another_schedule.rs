@@ -230,3 +230,34 @@ async fn a_reason_of_any_length_closes_and_a_long_one_loosens_nothing() {
     assert!(matches!(order(OrderKind::StayClosed(true), long).await, Reply::Accepted(_)));
     node.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_schedule_file_that_is_not_there_is_an_alert_while_the_switch_is_on_and_reload_says_so() {
+    let site = Site::new(1.0).await;
+    let node = site.start().await;
+    let cause = |site: &Site| {
+        let alerts = site.alerts.get().map(|received| received.sample.body.alerts).unwrap_or_default();
+        let found = alerts.into_iter().find(|alert| alert.id == "schedule-refused" && alert.returned_utc.is_none());
+        found.map(|alert| alert.cause).unwrap_or_default()
+    };
+    let reloads = async |site: &Site| match site.order(OrderKind::ReloadSchedule).await {
+        Reply::Accepted(_) => None,
+        Reply::Refusal(refusal) => Some(refusal.detail),
+    };
+    site.until("an alert", MOST, |site| cause(site).contains("there is no such file")).await;
+    let why = reloads(&site).await.unwrap();
+    assert!(why.contains("schedule.jsonl: there is no such file; write the schedule there"), "{why}");
+    assert!(matches!(site.order(OrderKind::Robotic(false)).await, Reply::Accepted(_)));
+    site.until("no alert while the switch is off", MOST, |site| cause(site).is_empty()).await;
+    site.write_schedule(&LATER[..1]);
+    assert_eq!(reloads(&site).await, None);
+    until_rows(&site, 1).await;
+    std::fs::remove_file(file(&site)).unwrap();
+    site.until("an alert", MOST, |site| cause(site).contains("the rows that were read last stay in force")).await;
+    let why = reloads(&site).await.unwrap();
+    assert!(why.contains("the file is gone; the rows that were read last stay in force"), "{why}");
+    site.write_schedule(&LATER);
+    assert_eq!(reloads(&site).await, None);
+    site.until("no alert", MOST, |site| cause(site).is_empty()).await;
+    node.stop().await;
+}

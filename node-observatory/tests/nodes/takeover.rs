@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use contract::device::dome::{Command as Dome, Shutter};
 use contract::observatory::{Alert, OperatorOrders};
-use contract::{Key, OrderKind, Part, Reason, Reply};
+use contract::{CommandId, Key, Order, OrderKind, Part, Reason, Reply};
 
 use crate::MOST;
-use crate::site::Site;
+use crate::site::{Site, ask};
 
 const SEEN: &str = "stay-closed";
 pub const SHELVED: &str = "override/sun";
@@ -153,9 +153,23 @@ async fn an_order_that_the_disk_does_not_take_is_refused_and_closing_acts_all_th
     let seen = alert(&site, SHELVED).unwrap();
     assert_eq!((seen.acknowledged_by, seen.shelved_until_utc), (None, None), "and nothing is changed");
 
-    accepted(site.order(OrderKind::StayClosed(true)).await);
+    let closes = Order {
+        id: CommandId::fresh(),
+        from: "cli/ana@dome-pc".to_owned(),
+        reason: "a test".to_owned(),
+        kind: OrderKind::StayClosed(true),
+        seen: None,
+    };
+    let not_written = async || match ask(&site.bus, &site.address, &closes).await {
+        Reply::Accepted(accepted) => accepted.not_written,
+        refused @ Reply::Refusal(_) => panic!("{refused:?}"),
+    };
+    let why = not_written().await.unwrap();
+    assert!(why.contains("operator-orders-callisto.json: "), "who orders learns that it is not on disk: {why}");
     site.until("shut", MOST, is_shut).await;
-    site.until("it is reported", MOST, |site| alert(site, "operator-orders").is_some()).await;
+    let named = "what people ordered (stay-closed of ana, override sun of test) cannot be written down: ";
+    let is_reported = |site: &Site| alert(site, "operator-orders").is_some_and(|alert| alert.cause.starts_with(named));
+    site.until("it is reported", MOST, is_reported).await;
     let (_, why) = refused(site.order(OrderKind::StayClosed(false)).await);
     assert!(why.contains("the disk does not take it"), "{why}");
     site.until("still closed", MOST, |site| is_shut(site) && reason(site).contains("a test")).await;
@@ -167,6 +181,9 @@ async fn an_order_that_the_disk_does_not_take_is_refused_and_closing_acts_all_th
     let file = site.folder.path().join("data/operator-orders-callisto.json");
     let written = |_: &Site| std::fs::read_to_string(&file).is_ok_and(|text| text.contains("stay_closed"));
     site.until("written", MOST, written).await;
+    // Whoever asks again learns that it is on disk now.
+    let told = async { while not_written().await.is_some() {} };
+    tokio::time::timeout(MOST, told).await.unwrap();
     accepted(site.order(OrderKind::StayClosed(false)).await);
     assert!(!std::fs::read_to_string(&file).unwrap().contains("stay_closed"), "on disk when it is answered");
     site.until("open again", MOST, is_open).await;

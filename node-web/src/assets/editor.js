@@ -6,7 +6,7 @@ import { note } from "./close.js";
 import { base } from "./draft.js";
 import { DraftLine, shifted } from "./draftline.js";
 import { clock, duration, nightOf, number } from "./format.js";
-import { Card, Dialog, Empty, Guard, Shape, Table } from "./parts.js";
+import { Card, Dialog, Empty, Guard, Kept, Shape, Table } from "./parts.js";
 import { RowForm } from "./row.js";
 import { difference, fixed, lineOf, moved, nameOf, placeOf, rowsOf, withNew, withRow, without } from "./rowtext.js";
 import { tonight } from "./site.js";
@@ -15,6 +15,11 @@ import { templateOf } from "./templates.js";
 
 /** Findings come when nothing was written for so long, ms. */
 const QUIET_MS = 500;
+/** A browser that is busy does at last what waits for an idle moment, ms. */
+const BUSY_MS = 200;
+
+/** Does work in an idle moment. Safari tells nobody of one. */
+const whenIdle = (work) => ("requestIdleCallback" in window ? requestIdleCallback(work, { timeout: BUSY_MS }) : setTimeout(work, BUSY_MS));
 
 /** What makes the fix of a finding, if it has one; `onFix` is absent while the text is another one than that with the findings. */
 const Fix = ({ finding: { fix, line }, onFix }) => {
@@ -41,8 +46,13 @@ function Text({ draft, area, caret, marked, chosen }) {
   // What a bar has chosen is where a person goes on by the keyboard; a click says its own place after this.
   const enter = ({ target }) => { if (target.selectionStart === target.selectionEnd) target.setSelectionRange(caret.peek(), caret.peek()); };
   const write = (event) => { draft.edit(event.target.value, "typing", `typing in line ${event.target.value.slice(0, event.target.selectionStart).split("\n").length}`); moveCaret(event); };
+  const numbered = (line, i) => {
+    const cls = chosen && i + 1 >= chosen.line && i + 1 < chosen.line + chosen.lines ? "sel" : "";
+    const mark = marked.get(i + 1) ?? "";
+    return html`<${Kept} key=${i} parts=${[line, cls, mark]} draw=${() => html`<div class=${cls}><span class=${`n ${mark}`}>${i + 1}</span><span class="c">${line || " "}</span></div>`} />`;
+  };
   // The lines stand a second time behind the text, unseen: their numbers and colours are as high as what is wrapped.
-  return html`<div class="editor"><div class="code" aria-hidden="true">${lines.map((line, i) => html`<div key=${i} class=${chosen && i + 1 >= chosen.line && i + 1 < chosen.line + chosen.lines ? "sel" : ""}><span class=${`n ${marked.get(i + 1) ?? ""}`}>${i + 1}</span><span class="c">${line || " "}</span></div>`)}</div><textarea ref=${area} aria-label="Schedule, rows of JSON" spellcheck="false" autocapitalize="off" value=${text} onInput=${write} onKeyUp=${moveCaret} onClick=${moveCaret} onFocus=${enter}></textarea></div>`;
+  return html`<div class="editor"><div class="code" aria-hidden="true">${lines.map(numbered)}</div><textarea ref=${area} aria-label="Schedule, rows of JSON" spellcheck="false" autocapitalize="off" value=${text} onInput=${write} onKeyUp=${moveCaret} onClick=${moveCaret} onFocus=${enter}></textarea></div>`;
 }
 
 /** The row that is chosen, and what can be done with it. */
@@ -80,6 +90,9 @@ export function Editor({ id, draft, version, sha256, running, site, close }) {
   /** The form that is open: of a row, or of a new one. */
   const form = useSignal(null);
   const caret = useSignal(0);
+  /** How the draft differs from what is in force; null before it was compared here. */
+  const compared = useSignal(null);
+  const isAwaited = useRef(false);
   const area = useRef(null);
   const file = useRef(null);
   const orders = useGet(`/api/v1/telescopes/${id}/commands/catalog`, 60).data;
@@ -115,6 +128,12 @@ export function Editor({ id, draft, version, sha256, running, site, close }) {
     }, QUIET_MS);
     return () => clearTimeout(timer);
   }, [text.value]);
+  // To compare takes longer than to draw a letter, and waits until that is done.
+  useEffect(() => {
+    if (text.value === null || isAwaited.current) return;
+    isAwaited.current = true;
+    whenIdle(() => { isAwaited.current = false; compared.value = draft.changes.peek(); });
+  }, [text.value, inForce.value]);
   const inForceRows = useMemo(() => rowsOf(inForce.value?.text ?? ""), [inForce.value]);
   if (text.value === null) return problem.value ? html`<${Empty} icon="warn" title="The schedule cannot be read" hatch>${problem.value.message} <button class="btn sm soft" onClick=${press(draft.read)}>Try again</button><//>` : html`<p class="m">Reading the schedule …</p>`;
 
@@ -169,9 +188,10 @@ export function Editor({ id, draft, version, sha256, running, site, close }) {
     if (command.state !== "failed") close();
   };
   const { findings = [], errors = 0, warnings = 0 } = checked.value ?? {};
+  const isNewest = checked.value?.text === text.value;
   // Of each line its worst finding.
   const marked = new Map([...findings].sort((a, b) => (a.severity > b.severity ? -1 : 1)).map((finding) => [finding.line, finding.severity]));
-  const changes = draft.changes.value;
+  const changes = compared.value ?? draft.changes.peek();
   const ends = changes.filter(({ before }) => before && running.split(" ").some((utc) => Math.abs(Date.parse(utc) - before.start) < 1));
   const order = Array.isArray(orders) ? orders.find((one) => one?.command === "put-schedule") : null;
   const waits = errors > 0 ? `Activate and the dry run wait for ${errors === 1 ? "the error" : `${errors} errors`} below.` : theirs.value ? "Activate waits until it is decided whose draft it is." : order?.may === false ? `You may not activate: it needs the right ${order.right}.` : null;
@@ -189,8 +209,8 @@ export function Editor({ id, draft, version, sha256, running, site, close }) {
     <${Card} name="The draft over the night" end=${html`<span class="key">draft</span><span class="key dash">in force</span>`} cls="tl"><${DraftLine} rows=${rows} marked=${marked} inForce=${inForceRows} plan=${plan?.rows} site=${site} now=${moment.value ?? Date.now()} chosen=${chosen} onChoose=${(row) => choose(row.from)} onOpen=${(row) => { form.value = { row }; }} onMove=${move} /><//>
     <div class="grid draft-parts"><${Card} name="Text" end=${html`<input ref=${file} type="file" class="vh" tabindex="-1" aria-label="A file with a schedule" accept=".jsonl,.json,.txt" onChange=${press(async (event) => { const [one] = event.target.files; event.target.value = ""; if (one) await draft.upload(one); })} /><button class="btn quiet sm" onClick=${() => file.current.click()}>Upload …</button><button class="btn quiet sm" onClick=${() => save(text.peek(), `${id.replaceAll("/", "-")}-${tonight(net.peek().get(id)) ?? nightOf(Date.now())}.jsonl`)}>Download</button><button class="btn quiet sm" onClick=${press(draft.startOver)}>Start over</button>`}><${Text} draft=${draft} area=${area} caret=${caret} chosen=${chosen} marked=${marked} /><//>
       <div class="grid"><${Chosen} row=${chosen} onAdd=${() => { form.value = { row: null }; }} onChange=${() => { form.value = { row: chosen }; }} onDuplicate=${duplicate} onRemove=${() => draft.edit(without(text.peek(), chosen), `removing ${nameOf(chosen.row)}`)} />
-        <${Card} name="Findings">${checked.value?.error ? html`<div class="note p2" role="alert"><span class="grow">${checked.value.error.message}</span></div>` : html`<${Findings} findings=${findings} onGo=${goTo} onFix=${checked.value?.text === text.value ? mend : null} />`}<//>
-        <${Card} name="Compared with what is in force" flush end=${`${changes.length} ${changes.length === 1 ? "row" : "rows"}`}><${Changes} label="The draft compared with the schedule in force" changes=${changes} /><//></div></div>
+        <${Card} name="Findings">${checked.value?.error ? html`<div class="note p2" role="alert"><span class="grow">${checked.value.error.message}</span></div>` : html`<${Kept} parts=${[checked.value, isNewest]} draw=${() => html`<${Findings} findings=${findings} onGo=${goTo} onFix=${isNewest ? mend : null} />`} />`}<//>
+        <${Card} name="Compared with what is in force" flush end=${`${changes.length} ${changes.length === 1 ? "row" : "rows"}`}><${Kept} parts=${[changes]} draw=${() => html`<${Changes} label="The draft compared with the schedule in force" changes=${changes} />`} /><//></div></div>
     ${dry.value && html`<${Card} name="Dry run" flush testid="dry-run" end=${plan ? plan.night && `${plan.night.frames} frames, ${sizeOf(plan)}, ${duration(plan.night.dark_exposed_s)} of ${duration(plan.night.dark_s)} dark time exposed` : "before the last change"}>
       <${Table} label="Dry run" cls="cards" columns=${[{ key: "r", name: "Row" }, { key: "b", name: "Runs" }, { key: "f", name: "Frames", num: true }, { key: "n", name: "Outcome" }]} rows=${dry.value.rows} keyOf=${(row) => row.row} cells=${(row) => html`<td class="k">${row.row + 1} ${[row.action, row.object].filter(Boolean).join(" ")}</td><td>${row.start_utc ? `${clock(row.start_utc)} to ${row.end_utc ? clock(row.end_utc) : "—"}` : "will not run"}</td><td class="num">${row.frames_wanted ? `${row.frames} of ${row.frames_wanted}` : row.frames || ""}</td><td class="m">${row.note ?? (row.whole === false ? "not whole" : "")}</td>`} /><//>`}
     <${Guard} name="The form">${form.value && html`<${Form} id=${id} rows=${rows} row=${form.value.row?.row ?? null} site=${site} onDone=${take} close=${() => { form.value = null; }} />`}<//>

@@ -35,13 +35,17 @@ function judge(summary) {
   const stopped = !fresh && summary.stopped && summary.stopped.closed !== false ? summary.stopped : null;
   // While the observatory node is silent the server goes by the domes' own device nodes.
   const isOfDomes = !fresh && link.value === "live" && summary.posture_by === "domes";
-  const concern = stopped ? null : fresh || isOfDomes ? summary.concern : link.value === "live" && age !== null && worth === "lost" ? summary.concern ?? "critical" : null;
+  // Alerts count in the one, and not in the other.
+  const concernOf = (word) => (stopped ? null : fresh || isOfDomes ? word : link.value === "live" && age !== null && worth === "lost" ? word ?? "critical" : null);
+  const concern = concernOf(summary.concern);
+  const level = concernOf(summary.safety_concern);
   return {
     worth: age === null ? "lost" : worth,
     never: age === null,
     fresh,
     stopped,
     concern: concern ? priorityNumber(concern) : null,
+    level: level ? priorityNumber(level) : null,
     domes: fresh || link.value !== "live" ? NONE : summary.domes ?? NONE,
     safety: fresh ? summary.safety?.state ?? "unknown" : "unknown",
     posture: fresh || isOfDomes ? summary.posture : stopped?.closed ? "closed" : "unknown",
@@ -107,9 +111,9 @@ export const postureIcon = (posture) => POSTURE[posture] ?? "domeq";
 
 /** The two words, each alone: safety, then the dome. */
 export function wordCells(now, lg = false, short = true) {
-  const level = now.concern ? `p${now.concern}` : now.safety === "unsafe" && now.posture === "closed" ? "quiet" : null;
-  const safetyLevel = now.concern && (now.safety !== "safe" || now.posture === "unknown") ? `p${now.concern}` : now.safety === "unsafe" ? level ?? "quiet" : null;
-  const postureLevel = now.concern && now.posture !== "closed" ? `p${now.concern}` : null;
+  const level = now.level ? `p${now.level}` : now.safety === "unsafe" && now.posture === "closed" ? "quiet" : null;
+  const safetyLevel = now.level && (now.safety !== "safe" || now.posture === "unknown") ? `p${now.level}` : now.safety === "unsafe" ? level ?? "quiet" : null;
+  const postureLevel = now.level && now.posture !== "closed" ? `p${now.level}` : null;
   const cls = `word ${lg ? "lg" : ""}`;
   const unknown = (subject) => (short ? "UNKNOWN" : `${subject} UNKNOWN`);
   return [html`<span class=${cls} data-safety=${now.safety} data-level=${safetyLevel}><span class="vh">safety </span><${Icon} name=${SAFETY[now.safety] ?? "unknown"} />${now.safety === "unknown" ? unknown("SAFETY") : now.safety.toUpperCase()}</span>`,
@@ -195,6 +199,17 @@ export function Loaded({ of, what, children }) {
   if (of.data !== null) return html`${of.error && html`<p class="note p3"><span class="grow"><b>${what} could not be read again.</b> ${of.error.message} What you see is of ${hourMinute(answeredAt(of))}.</span></p>`}<${Cut} of=${of.data} />${children(of.data)}`;
   if (of.error) return html`<${Empty} icon="warn" title=${`${what} cannot be read`} hatch>${of.error.message} <button class="btn sm soft" onClick=${of.again}>Try again</button><//>`;
   return html`<p class="m">Reading ${what} …</p>`;
+}
+
+/** Draws anew only where one of its `parts` is another one than before: for long lists of which a letter, or a second, changes a line. What `draw` reads stands in `parts`, and is no signal. */
+export class Kept extends Component {
+  shouldComponentUpdate({ parts }) {
+    return parts.length !== this.props.parts.length || parts.some((part, i) => part !== this.props.parts[i]);
+  }
+
+  render({ draw }) {
+    return draw();
+  }
 }
 
 const AGAIN_MS = 2500;

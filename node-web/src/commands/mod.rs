@@ -206,6 +206,7 @@ async fn follow(
 fn not_accepted(command: &Command, error: NotAccepted, at_utc: Utc) {
     match error {
         NotAccepted::Refused(Refusal { reason, detail, .. }) => command.refuse(reason, detail, at_utc),
+        error @ NotAccepted::NotWritten { .. } => command.note(Progress::Failed, Some(error.to_string()), at_utc),
         error => command.note(Progress::Unknown, Some(error.to_string()), at_utc),
     }
 }
@@ -261,7 +262,9 @@ async fn close(
         let times = (orders::GIVEN_ON, deadline);
         taken = match orders::give_on(&server.bus, &follower, order, times, taken_now).await {
             Ok(taken) => taken,
-            Err(NotDone::NotClosed(error)) => return command.note(Progress::Failed, Some(error.to_string()), utc()),
+            Err(error @ (NotDone::NotClosed(_) | NotDone::NotWritten { .. })) => {
+                return command.note(Progress::Failed, Some(error.to_string()), utc());
+            }
             Err(error @ NotDone::Replaced(_)) => {
                 return command.note(progress, Some(format!("{closed}; {error}")), utc());
             }

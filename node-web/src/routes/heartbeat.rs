@@ -150,7 +150,7 @@ fn fault(face: &Face) -> Option<String> {
         Some(stopped) if stale => return Some(format!("stale: {}", stopped.text)),
         Some(_) | None => {}
     }
-    let is_urgent = face.concern.is_some_and(|concern| concern <= Priority::High);
+    let is_urgent = face.safety_concern.is_some_and(|concern| concern <= Priority::High);
     let head = if stale {
         format!("stale: {}", overview::silent(face.observatory_silent_since_utc))
     } else if is_urgent || face.safety.state == SafetyWord::Unknown {

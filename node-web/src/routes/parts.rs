@@ -20,7 +20,6 @@ use crate::model::{Entry, Telescope};
 use crate::problem::Problem;
 use crate::routes::network::{NEVER_CACHED, body_for, known};
 use crate::server::Server;
-use crate::summary::is_over;
 
 /// A payload with its age.
 #[derive(Debug, JsonSchema, Serialize)]
@@ -167,7 +166,7 @@ pub async fn alerts(
     let mut alerts: Vec<AlertOfTelescope> = model
         .telescopes
         .iter()
-        .filter(|(address, telescope)| is_wanted(address) && !is_over(telescope, now))
+        .filter(|(address, _)| is_wanted(address))
         .flat_map(|(address, telescope)| {
             active(telescope, Vec::new(), now)
                 .into_iter()

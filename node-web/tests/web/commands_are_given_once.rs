@@ -31,7 +31,10 @@ async fn observatory(stage: &Stage) -> (bus::Service, Orders) {
                 "refuse" => {
                     Reply::Refusal(Refusal { id: order.id, reason: Reason::NotNow, detail: "it is noon".to_owned() })
                 }
-                _ => Reply::Accepted(Accepted { id: order.id, token: None }),
+                reason => {
+                    let not_written = (reason == "full disk").then(|| "/data/orders.json: it is full".to_owned());
+                    Reply::Accepted(Accepted { id: order.id, token: None, not_written })
+                }
             }
         }
     };
@@ -117,6 +120,31 @@ async fn a_close_is_done_when_it_is_verified_and_failed_when_it_is_not() {
     let (status, late, _) = post(&stage, Some("b"), Some(60), json!({"command": "close", "deadline_s": 1})).await;
     assert_eq!((status, &late["state"]), (202, &json!("failed")), "{late}");
     assert!(late["detail"].as_str().unwrap().contains("NOT verified closed"), "{late}");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_that_holds_and_is_not_on_disk_has_failed_and_says_so() {
+    let stage = Stage::start().await;
+    let (_observatory, _orders) = observatory(&stage).await;
+    let night = night(&stage).await;
+    let body =
+        |command: &str, parameters: Value| json!({"command": command, "parameters": parameters, "reason": "full disk"});
+    let restore = body("restore", json!({"input": "wx/Humidity"}));
+    let (status, restored, _) = post(&stage, Some("a"), None, restore).await;
+    assert_eq!((status, &restored["state"]), (202, &json!("failed")), "{restored}");
+    let told = "the order holds now and is NOT on disk (/data/orders.json: it is full)";
+    assert!(restored["detail"].as_str().unwrap().starts_with(told), "{restored}");
+
+    let (status, state, location) = post(&stage, Some("b"), None, body("stay-closed", json!({}))).await;
+    assert_eq!((status, &state["state"]), (202, &json!("accepted")), "it closes at once: {state}");
+    let mut closed = sample("observatory.night");
+    closed["last_order"]["id"] = state["id"].clone();
+    closed["posture"] = json!("closed");
+    night.put(serde_json::from_value(closed).unwrap());
+    let failed = stage.until(&location.unwrap(), |state| state["state"] == "failed").await;
+    let detail = failed["detail"].as_str().unwrap();
+    assert!(detail.starts_with("verified closed, but ") && detail.contains(told), "{failed}");
     stage.end().await;
 }
 
@@ -278,7 +306,7 @@ async fn a_close_that_no_observatory_node_answers_is_carried_out_by_the_dome() {
         assert_eq!((close.token, contract::command::operator(&close.from)), (None, "ana"));
     }
     let closed = stage.until(path, |network| network["telescopes"][0]["posture"] == "closed").await;
-    assert_eq!(closed["telescopes"][0]["concern"], "medium", "closed, and its safety is unknown");
+    assert_eq!(closed["telescopes"][0]["safety_concern"], "medium", "closed, and its safety is unknown");
 
     // Closed, and nobody has noted that it is to stay so.
     let (_, state, location) = post(&stage, Some("b"), None, json!({"command": "stay-closed"})).await;

@@ -53,12 +53,12 @@ impl Observatory {
                 Reply::Refusal(Refusal { id: order.id.clone(), reason, detail: detail.to_owned() })
             };
             let reply = match instead_of {
-                _ if known => Reply::Accepted(Accepted { id: order.id.clone(), token: None }),
+                _ if known => Reply::Accepted(Accepted { id: order.id.clone(), token: None, not_written: None }),
                 Some(wanted) if *wanted != sha256(&now) => refusal(Reason::WrongState, "another schedule is in force"),
                 _ => {
                     now.clone_from(new);
                     taken.lock().unwrap().push(order.clone());
-                    Reply::Accepted(Accepted { id: order.id.clone(), token: None })
+                    Reply::Accepted(Accepted { id: order.id.clone(), token: None, not_written: None })
                 }
             };
             async move { reply }

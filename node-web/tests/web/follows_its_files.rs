@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use contract::node::NodeState;
-use contract::{Key, Kind, NodeTopic};
+use contract::observatory::Alerts;
+use contract::{Key, Kind, NodeTopic, Role};
 use rustls::pki_types::{CertificateDer, ServerName};
 use serde_json::{Value, json};
 use test_support::{LIMIT, until};
@@ -142,6 +143,33 @@ async fn a_page_that_others_could_open_is_not_served_before_there_is_a_user() {
     add_user(folder.path(), "ana", &["viewer"]);
     until("the page is served", served).await;
     until("the end of the alert", || causes(&node).is_empty()).await;
+    node.stop().await;
+}
+
+/// As where another program has its port: what was published meanwhile is not published again.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_telescope_that_is_stopped_before_its_page_can_be_served_is_shown_as_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let web = "trust_proxy = [\"127.0.0.1\"]\npublic = [\"/api/v1/network\"]";
+    let (bus, node) = Stage::begin(web, folder.path()).await;
+    // Heard over the bus, so that this session knows by now what the web node has subscribed to.
+    let raised = bus.latest::<Alerts>(&node.node.key(NodeTopic::Alerts)).await.unwrap();
+    until("an alert", || raised.get().is_some_and(|alerts| !alerts.sample.body.alerts.is_empty())).await;
+    let state = json!({ "role": "observatory", "version": "", "host": "pc", "pid": 1, "uptime_s": 1.0, "speed": 1.0,
+        "stopped": { "by": "starmesh up on pc", "closed": true } });
+    let key = Key::Node(address("callisto"), Role::Observatory, "main".parse().unwrap(), NodeTopic::State);
+    let observatory = bus.publisher::<NodeState>(&key).await.unwrap();
+    for _ in 0..3 {
+        observatory.put(serde_json::from_value(state.clone()).unwrap()).await.unwrap();
+        let answers = bus.get_all::<NodeState>(node.node.key(NodeTopic::State), LIMIT).await;
+        assert_eq!(answers.len(), 1, "the web node answers");
+    }
+    drop(observatory);
+    add_user(folder.path(), "ana", &["viewer"]);
+    let url = node.page_url(&bus).await;
+    let answer = reqwest::get(format!("{url}/api/v1/network")).await.unwrap().bytes().await.unwrap();
+    let network: Value = serde_json::from_slice(&answer).unwrap();
+    assert_eq!(network["telescopes"][0]["stopped"]["text"], "stopped by starmesh up on pc, closed", "{network:#}");
     node.stop().await;
 }
 

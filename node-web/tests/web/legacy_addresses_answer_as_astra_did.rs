@@ -423,7 +423,7 @@ async fn orders_at_the_old_addresses_are_orders_of_today_and_toggles_are_gone() 
     let serve = move |order: Result<Order, String>| {
         let order = order.unwrap();
         got.lock().unwrap().push(order.clone());
-        async move { Reply::Accepted(Accepted { id: order.id, token: None }) }
+        async move { Reply::Accepted(Accepted { id: order.id, token: None, not_written: None }) }
     };
     let _observatory = stage.bus.serve(&Key::Order(address("callisto")), serve).await.unwrap();
     // An answer counts only from the program that publishes the night.

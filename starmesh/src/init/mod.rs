@@ -2,8 +2,10 @@
 //! an example schedule.
 //!
 //! [`place`] asks where the telescope is; [`text`](mod@text) writes the configuration, [`night`] the schedule. Nothing
-//! is overwritten: `--force` gives the old files other names. No device is connected or moved.
+//! is overwritten: `--force` gives the old files other names, and [`before`] keeps the names of their devices. No device is
+//! connected or moved.
 
+mod before;
 mod night;
 mod place;
 mod text;
@@ -17,6 +19,7 @@ use anyhow::{Context as _, bail, ensure};
 use clap::Args;
 use contract::{Address, Chunk};
 
+use self::before::Before;
 use self::place::Surroundings;
 use crate::console::{foreign_line, line};
 
@@ -35,7 +38,8 @@ pub struct Options {
     /// Name of the telescope in the key tree.
     #[arg(long, default_value = "my-telescope")]
     telescope: Chunk,
-    /// An Alpaca server that answers no discovery, HOST:PORT; may be given several times.
+    /// An Alpaca server, HOST:PORT; may be given several times. The files are made of the devices of these alone, and without
+    /// one of all that answer on the local network.
     #[arg(long, value_name = "HOST:PORT")]
     server: Vec<String>,
     /// How long to wait for answers, s.
@@ -65,23 +69,10 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
             path.display()
         );
     }
-    let mut found: Vec<Found> = Vec::new();
-    for server in &options.server {
-        config::host_port(server).map_err(|why| anyhow::anyhow!("--server {server}: expected HOST:PORT; {why}"))?;
-        match discovery::configured_devices(server).await {
-            Ok(devices) => found.extend(devices),
-            Err(error) => bail!("--server {server}: it does not list its devices: {error}"),
-        }
-    }
-    for device in discovery::discover(Duration::from_secs_f64(options.seconds)).await? {
-        let is_new = |old: &Found| (old.kind, old.number, &old.server) != (device.kind, device.number, &device.server);
-        let is_other = |old: &Found| device.unique_id.is_empty() || old.unique_id != device.unique_id;
-        if found.iter().all(|old| is_new(old) && is_other(old)) {
-            found.push(device);
-        }
-    }
+    let found = devices(&options.server, discovery::discover(Duration::from_secs_f64(options.seconds))).await?;
     let around = place::ask(&found).await;
-    let config = text::text(&options, &found, &around);
+    let before = Before::read(&options.folder.join(CONFIG));
+    let config = text::text(&options, &found, &around, &before);
     let observatory = text::prove(&config, around.place, &options.folder).context("the new configuration")?;
     let schedule = night::schedule(&observatory, &around)?;
     std::fs::create_dir_all(&options.folder).with_context(|| format!("cannot make {}", options.folder.display()))?;
@@ -91,11 +82,52 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         let path = options.folder.join(name);
         if let Some(aside) = put_aside(&path)? {
             line(format_args!("the old {} is {} now", path.display(), aside.display()))?;
+            if name == CONFIG {
+                for lost in before.lost(&observatory, &aside) {
+                    foreign_line(format_args!("  {lost}"))?;
+                }
+            }
         }
         write(&path, text)?;
         line(format_args!("wrote {}", path.display()))?;
     }
     print_summary(&options, &found, &around)
+}
+
+/// The devices of the servers that are named; where none is, those of all that `others` finds.
+async fn devices(
+    servers: &[String],
+    others: impl Future<Output = std::io::Result<Vec<Found>>>,
+) -> anyhow::Result<Vec<Found>> {
+    if servers.is_empty() {
+        let mut found: Vec<Found> = Vec::new();
+        for device in others.await? {
+            let is_same = |old: &Found| !device.unique_id.is_empty() && old.unique_id == device.unique_id;
+            if !found.iter().any(|old| is_same(old) || is_at_one_place(old, &device)) {
+                found.push(device);
+            }
+        }
+        return Ok(found);
+    }
+    let mut found: Vec<Found> = Vec::new();
+    for server in servers {
+        config::host_port(server).map_err(|why| anyhow::anyhow!("--server {server}: expected HOST:PORT; {why}"))?;
+        match discovery::configured_devices(server).await {
+            Ok(devices) => {
+                for device in devices {
+                    if !found.iter().any(|old| is_at_one_place(old, &device)) {
+                        found.push(device);
+                    }
+                }
+            }
+            Err(error) => bail!("--server {server}: it does not list its devices: {error}"),
+        }
+    }
+    Ok(found)
+}
+
+fn is_at_one_place(a: &Found, b: &Found) -> bool {
+    (a.kind, a.number, &a.server) == (b.kind, b.number, &b.server)
 }
 
 /// Gives a file that is there another name, which is returned.
@@ -137,7 +169,10 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
 fn print_summary(options: &Options, found: &[Found], around: &Surroundings) -> anyhow::Result<()> {
     let file = options.folder.join(CONFIG);
     let (typed, file) = (for_shell(&file), file.display());
-    if found.is_empty() {
+    if found.is_empty() && !options.server.is_empty() {
+        let servers = options.server.join(", ");
+        line(format_args!("\nNo device is at {servers}: the devices in {file} are examples, each behind a #."))?;
+    } else if found.is_empty() {
         line(format_args!(
             "\nNo Alpaca device answered within {} s on UDP port {}: the devices in {file} are examples, each behind a #.\n\
              Servers in another subnet, or without discovery: write them by hand, or\n     {}",
@@ -153,6 +188,9 @@ fn print_summary(options: &Options, found: &[Found], around: &Surroundings) -> a
                 device.kind, device.server, device.number, device.name
             ))?;
         }
+    }
+    for told in &around.told {
+        foreign_line(format_args!("  {told}"))?;
     }
     if around.place.is_none() {
         line(format_args!(

@@ -10,12 +10,14 @@ use units::Utc;
 use crate::import::site::Location;
 
 /// The surroundings of the devices, as far as they are known.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Surroundings {
     /// Their place.
     pub place: Option<Location>,
     /// Sky time there, where a simulator is all of them.
     pub simulated: Option<Utc>,
+    /// For a person: which device reported the place, and which others report another.
+    pub told: Vec<String>,
 }
 
 const LIMIT: Duration = Duration::from_secs(3);
@@ -29,12 +31,24 @@ pub async fn ask(found: &[Found]) -> Surroundings {
     {
         return around;
     }
+    let mut around = Surroundings::default();
     for mount in found.iter().filter(|device| device.kind == Kind::Telescope) {
-        if let Some(place) = crate::import::site::location(&mount.server, i64::from(mount.number)).await {
-            return Surroundings { place: Some(place), simulated: None };
+        let Some(place) = crate::import::site::location(&mount.server, i64::from(mount.number)).await else { continue };
+        let Location { latitude_deg, longitude_deg, elevation_m } = place;
+        let words = format!(
+            "{latitude_deg} deg north, {longitude_deg} deg east, {elevation_m} m, as mount {} of {} reports it ({})",
+            mount.number, mount.server, mount.name
+        );
+        match around.place {
+            None => {
+                around.told.push(format!("place: {words}"));
+                around.place = Some(place);
+            }
+            Some(taken) if taken != place => around.told.push(format!("another place, which is not taken: {words}")),
+            Some(_) => {}
         }
     }
-    Surroundings::default()
+    around
 }
 
 /// The surroundings that a Starmesh simulator reports.
@@ -50,5 +64,6 @@ async fn simulator(server: &str) -> Option<Surroundings> {
             elevation_m: number("elevation_m")?,
         }),
         simulated: Some(world.get("utc")?.as_str()?.parse().ok()?),
+        told: vec![format!("place and time: those of the simulator at {server}")],
     })
 }

@@ -6,6 +6,7 @@ use std::path::Path;
 use alpaca::discovery::{Found, as_toml};
 use contract::Kind;
 
+use super::before::Before;
 use super::place::Surroundings;
 use super::{HEADER, Options, SCHEDULE};
 use crate::first_tables::{ALERTS, BUS};
@@ -48,12 +49,15 @@ fn hints(kind: Kind) -> &'static str {
 }
 
 /// The whole text.
-pub fn text(options: &Options, found: &[Found], around: &Surroundings) -> String {
+pub fn text(options: &Options, found: &[Found], around: &Surroundings, before: &Before) -> String {
     let mut text = String::from(
         "# Made by `starmesh init`. Every key is explained in docs/operator/config.md; what is behind a # is an example.\n\n\
          [observatory]\n# the place in the key tree of the network\n",
     );
     text += &format!("site = \"{}\"\ntelescope = \"{}\"\n", options.site, options.telescope);
+    for told in &around.told {
+        text += &format!("# {}\n", contract::printable(told));
+    }
     match around.place {
         Some(Location { latitude_deg, longitude_deg, elevation_m }) => {
             text += &format!(
@@ -94,7 +98,7 @@ pub fn text(options: &Options, found: &[Found], around: &Surroundings) -> String
     }
     let mut kinds = BTreeSet::new();
     for device in found {
-        let block = format!("{}{}", as_toml(device), hints(device.kind));
+        let block = format!("{}{}", before.named(device, as_toml(device)), hints(device.kind));
         // One of each kind is a telescope; a site with more names which.
         let block = if kinds.insert(device.kind) {
             block

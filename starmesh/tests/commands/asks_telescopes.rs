@@ -18,6 +18,9 @@ use crate::command::{Output, starmesh};
 /// Text that would end its line, write another one, and clear the terminal.
 const FORGED: &str = "x\nparanal/io SAFE\u{1b}[2J\u{9b}2J\u{2028}y";
 
+/// The reason of an order that holds and that the disk does not take.
+const FULL_DISK: &str = "a full disk";
+
 /// A telescope on a bus of its own that publishes what a test wants, and the address of that bus.
 pub struct Telescope {
     bus: Bus,
@@ -49,12 +52,14 @@ impl Telescope {
         tokio::spawn(async move { nights.follow(shown, Duration::from_secs(1)).await });
         let (clock, taken_by) = (bus.clock().clone(), night.clone());
         let orders = bus.serve(&order, move |order: Result<Order, String>| {
-            let Order { id, from, kind, .. } = order.unwrap();
+            let Order { id, from, kind, reason, .. } = order.unwrap();
             let taken = OrderTaken { id: id.clone(), from, verb: "order".to_owned(), at_utc: clock.utc(), night: None };
             taken_by.send_modify(|night| night.last_order = Some(taken));
             let refused = matches!(kind, OrderKind::ReloadSchedule);
             let refusal = Refusal { id: id.clone(), reason: Reason::Malformed, detail: FORGED.to_owned() };
-            async move { if refused { Reply::Refusal(refusal) } else { Reply::Accepted(Accepted { id, token: None }) } }
+            let not_written = (reason == FULL_DISK).then(|| "/data/orders.json: No space left on device".to_owned());
+            let accepted = Accepted { id, token: None, not_written };
+            async move { if refused { Reply::Refusal(refusal) } else { Reply::Accepted(accepted) } }
         });
         let checks = bus.serve(&check, |draft: Result<ScheduleDraft, String>| async move {
             let is_bad = draft.unwrap().text.contains("bad");
@@ -81,6 +86,25 @@ impl Telescope {
         let mut all: Vec<String> = arguments.iter().map(|&word| word.to_owned()).collect();
         all.extend(["--no-multicast".to_owned(), "--connect".to_owned(), self.connect.clone()]);
         tokio::task::spawn_blocking(move || starmesh(all)).await.unwrap()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_that_holds_and_is_not_on_disk_fails_with_the_file_and_the_error() {
+    let telescope = Telescope::start().await;
+    for (words, closed) in [
+        (&["stay-closed"][..], "verified closed, but the order holds now and "),
+        (&["stay-closed", "--wait", "0"], "the order holds now and "),
+        (&["restore", "wx/Humidity"], "the order holds now and "),
+    ] {
+        let mut order = vec!["order", "paranal/callisto"];
+        order.extend(words);
+        order.extend(["--reason", FULL_DISK]);
+        let output = telescope.starmesh(&order).await;
+        let told = format!("{closed}is NOT on disk (/data/orders.json: No space left on device)");
+        assert!(!output.success && output.err.contains(&told), "{words:?}: {}{}", output.out, output.err);
+        let is_closing = words[0] == "stay-closed";
+        assert_eq!(output.out.contains("accepted"), is_closing, "{words:?}: {}", output.out);
     }
 }
 

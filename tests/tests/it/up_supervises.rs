@@ -83,6 +83,34 @@ async fn a_node_that_hangs_under_up_is_ended_and_started_again_and_an_alert_repo
     Ok(())
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dome_whose_data_folder_is_gone_stays_closed_until_a_person_opens_it_again() -> anyhow::Result<()> {
+    let options = HarnessOptions { window_s: 18_000.0, ..HarnessOptions::default() };
+    let harness = Harness::new(options, long_row).await?;
+    let alerts: Latest<Alerts> = latest(&harness, Role::Observatory, "main", NodeTopic::Alerts).await?;
+    let up = harness.up()?;
+    let opened = harness.until("the dome opens on its first night", 90.0, Harness::is_open).await;
+    let (_, log) = stop(&harness, up).await?;
+    opened.map_err(|error| anyhow::anyhow!("{error}\n{log}"))?;
+
+    std::fs::remove_dir_all(harness.path("data"))?;
+    let again = harness.up()?;
+    let is_lost = |_: &Harness| {
+        alerts.get().is_some_and(|list| list.sample.body.alerts.iter().any(|alert| alert.id == "orders-lost"))
+    };
+    let closed = async {
+        harness.until("it says that the orders are lost", 180.0, is_lost).await?;
+        anyhow::ensure!(!harness.is_open(), "nobody knows whether it is to stay closed");
+        harness.order(&["open-again", "--operator", "ana", "--reason", "nobody is up there"]).await?;
+        harness.until("the dome opens again", 180.0, Harness::is_open).await
+    };
+    let closed = closed.await;
+    let (_, log) = stop(&harness, again).await?;
+    closed.map_err(|error| anyhow::anyhow!("{error:#}\n{log}"))?;
+    assert!(log.contains("stays closed until ") && log.contains(" is gone)"), "{log}");
+    Ok(())
+}
+
 /// Types a command until it prints what is wanted: nodes take some seconds to take the place of `up`.
 async fn until_printed(harness: &Harness, words: &[&str], wanted: &str) -> anyhow::Result<()> {
     let began = Instant::now();

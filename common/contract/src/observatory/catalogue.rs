@@ -121,7 +121,8 @@ catalogue! {
     /// A program uses a lease, or publishes as a guard, without the right to. Permits, leases or guard numbers of two
     /// programs contradict each other.
     Impostor: network::IMPOSTOR,
-    /// The newest schedule file cannot be read. The cause names the line.
+    /// The newest schedule file cannot be read, it is gone, or there is none while the robotic switch is on. The cause says which,
+    /// and names the line.
     ScheduleRefused: orders::SCHEDULE_REFUSED,
     /// The schedule in force cannot be stored as a version next to those before it.
     ScheduleNotSaved: records::SCHEDULE_NOT_SAVED,
@@ -129,6 +130,9 @@ catalogue! {
     Journal: records::JOURNAL,
     /// A frame was taken and the device node could not write it.
     SpoolCannotWrite: records::SPOOL_CANNOT_WRITE,
+    /// What a camera answered as its image cannot be read: it has lists of different length, fewer pixels than it says, or is no
+    /// image at all. The cause says what was wrong. It ends with the next image of that camera that can be read.
+    ImageUnreadable: devices::IMAGE_UNREADABLE,
     /// The archive's database does not take rows: its disk is full or read-only, or another program locks it.
     ArchiveDatabase: records::ARCHIVE_DATABASE,
     /// The daily copy of the archive's database could not be made, or is damaged.

@@ -156,7 +156,7 @@ impl ExposureControl {
 }
 
 fn accept(id: CommandId, token: Option<u64>) -> Reply {
-    Reply::Accepted(Accepted { id, token })
+    Reply::Accepted(Accepted { id, token, not_written: None })
 }
 
 /// The whole site and its observatory node.

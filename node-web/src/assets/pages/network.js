@@ -92,7 +92,7 @@ function SiteNow({ site, telescopes, stations, none }) {
   const verdict = useTopic(`tel/${summary.id}/observatory/safety`)?.get(`${summary.id}/observatory/safety/state`)?.body;
   const limitOf = (property) => limitsOf(verdict?.inputs, station?.name, property).find((one) => one.side === "above");
   const wait = summary.safety?.time_to_safe_s;
-  return html`<section class="card site-c" aria-label=${site} data-testid="site"><div class="row between"><b class="nw">${site}</b><span class="word" data-level=${now.safety === "unknown" && now.concern ? "p1" : now.safety === "safe" ? null : "quiet"}><${Icon} name=${icon} />${now.safety.toUpperCase()}</span></div>
+  return html`<section class="card site-c" aria-label=${site} data-testid="site"><div class="row between"><b class="nw">${site}</b><span class="word" data-level=${now.safety === "unknown" && now.level ? "p1" : now.safety === "safe" ? null : "quiet"}><${Icon} name=${icon} />${now.safety.toUpperCase()}</span></div>
     ${station ? html`<dl class="vals">${WEATHER.filter(([, name]) => name === null || known(fields[name])).slice(0, 3).map(([label, name, unit, from, to, digits, property]) => {
       const v = station.worth === "lost" ? null : value(name);
       const limit = limitOf(property);

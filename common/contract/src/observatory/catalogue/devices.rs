@@ -105,6 +105,14 @@ pub(super) const SLOW_DEVICE: AlertEntry = AlertEntry {
     hold_s: 60,
 };
 
+pub(super) const IMAGE_UNREADABLE: AlertEntry = AlertEntry {
+    word: "image-unreadable",
+    instance: "CAMERA",
+    consequence: "The frame is lost. Another one is taken in its place.",
+    action: "Look at the camera, its driver and its Alpaca server, and restart what is wrong. Nothing has to be done at the disk.",
+    ..HIGH
+};
+
 pub(super) const FRAME_LOST: AlertEntry = AlertEntry {
     word: "frame-lost",
     instance: "CAMERA",

@@ -6,7 +6,7 @@ use super::super::catalogue_entry::{AlertEntry, HIGH, PLAIN};
 pub(super) const SCHEDULE_REFUSED: AlertEntry = AlertEntry {
     word: "schedule-refused",
     consequence: "The schedule before it stays in force; without one, nothing is observed.",
-    action: "Correct the file; it is read again by itself.",
+    action: "Correct the file, or put it back; it is read again by itself.",
     ..HIGH
 };
 

@@ -1,0 +1,66 @@
+//! What does not answer for a moment, or stands still for one, is read on at once after it.
+
+use std::time::Duration;
+
+use contract::DeviceState;
+use contract::device::filter_wheel::FilterWheel;
+use contract::device::safety_monitor::{Fields, SafetyMonitor};
+use serde_json::json;
+use test_support::until;
+
+use crate::block;
+use crate::fake::{Fake, FakeAnswer};
+use crate::stage::Stage;
+
+/// A monitor that was read, the length of its record, and how often it was connected.
+async fn a_monitor() -> (Fake, Stage, f64, usize) {
+    let hardware = Fake::start(&[("issafe", json!(true))]).await;
+    let stage = Stage::start(&block("safetymonitor", "monitor", &hardware, "period_s = 0.5")).await;
+    let read = |state: &DeviceState<Fields>| state.fields.is_safe.known() == Some(&true);
+    let before_s = stage.until::<SafetyMonitor>("monitor", read).await.fields.gapless_safe_s;
+    let connected = hardware.puts("connected").len();
+    (hardware, stage, before_s, connected)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_question_without_an_answer_loses_no_device_that_decides() {
+    let (hardware, stage, before_s, connected) = a_monitor().await;
+    hardware.hang(true);
+    until("a question hangs", || hardware.hanging() > 0).await;
+    // That one is never answered, and the next one is.
+    hardware.hang(false);
+    // The question hangs for 2 s, so that this is a reading after it.
+    stage.until::<SafetyMonitor>("monitor", |state| state.fields.gapless_safe_s > before_s + 2.0).await;
+    assert_eq!(hardware.puts("connected").len(), connected, "it was not connected anew");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_that_has_fallen_silent_is_asked_beside_the_question_that_hangs() {
+    let (hardware, stage, before_s, _) = a_monitor().await;
+    hardware.hang(true);
+    until("it is asked beside the question that hangs", || hardware.hanging() > 1).await;
+    hardware.hang(false);
+    let read = |state: &DeviceState<Fields>| state.fields.gapless_safe_s > before_s + 2.0;
+    stage.until::<SafetyMonitor>("monitor", read).await;
+    stage.end().await;
+}
+
+/// Real threads: what stands still here is the runtime of the node itself.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_question_that_was_asked_before_the_node_stood_still_loses_no_device() {
+    let wheel = Fake::start(&[("position", json!(1)), ("names", json!(["R", "G"]))]).await;
+    let stage = Stage::start(&block("filterwheel", "wheel", &wheel, "period_s = 2")).await;
+    stage.until::<FilterWheel>("wheel", |state| state.fields.filter.known() == Some(&"G".to_owned())).await;
+    let connected = wheel.puts("connected").len();
+    wheel.hang(true);
+    until("a question hangs", || wheel.hanging() > 0).await;
+    for _ in 0..4 {
+        tokio::spawn(async { std::thread::sleep(Duration::from_secs(4)) });
+    }
+    wheel.hang(false);
+    wheel.answer("position", FakeAnswer::Value(json!(0)));
+    stage.until::<FilterWheel>("wheel", |state| state.fields.filter.known() == Some(&"R".to_owned())).await;
+    assert_eq!(wheel.puts("connected").len(), connected, "it was not connected anew");
+    stage.end().await;
+}
