@@ -17,7 +17,7 @@ use zenoh::sample::SampleKind;
 use zenoh::session::{Link, ZenohId};
 
 use crate::meetings::{Dialled, Found, introduce};
-use crate::sockets::{self, ends};
+use crate::sockets::{self, close_in_background, ends};
 use crate::{Bus, BusError, MachineTime, machine};
 
 /// A node publishes its state every 5 s; three are missed by then.
@@ -135,21 +135,6 @@ impl Bus {
             Ok(links) => tracing::warn!(%peer, links, "{why}; its links begin anew"),
             Err(error) => tracing::error!(%peer, %error, "{why}; its links cannot be cut, start this node anew"),
         }
-    }
-}
-
-/// A host that is off must not stop what others send.
-pub(crate) async fn close_in_background(link: &Link) {
-    static REFUSED: std::sync::Once = std::sync::Once::new();
-    let Some(ends) = ends(link).filter(|_| cfg!(target_os = "linux")) else { return };
-    if let Err(error) = sockets::close_in_background(vec![ends]).await {
-        REFUSED.call_once(|| {
-            tracing::error!(
-                %error,
-                "the sockets of the bus cannot be reached: when another host goes off, this node receives nothing for 10 s \
-                 and more; it needs Linux 5.6, and a container CAP_SYS_PTRACE"
-            );
-        });
     }
 }
 

@@ -14,9 +14,8 @@ use units::MachineTime;
 use zenoh::sample::SampleKind;
 use zenoh::session::ZenohId;
 
-use crate::links::close_in_background;
 use crate::session;
-use crate::sockets::ends;
+use crate::sockets::{close_in_background, ends};
 
 /// The pause before a peer that is gone is tried; each next one is twice as long.
 const FIRST_PAUSE: Duration = Duration::from_secs(2);

@@ -23,12 +23,27 @@ pub async fn shut_down(ends: Vec<Ends>) -> io::Result<usize> {
     run(move || system::each(&ends, |socket| socket.shutdown(std::net::Shutdown::Both))).await
 }
 
-/// Closing these links shall not wait; returns how many there were.
+/// Closing this link shall not wait: a host that is off must not stop what others send.
 ///
 /// zenoh-link-tcp lets the closing of a socket wait 10 s for what the peer has not acknowledged (`SO_LINGER`), and closes in
 /// the threads that receive everything: two hosts that were off made a node deaf to all others for 10 s
 /// (eclipse-zenoh/zenoh#2350). Without the option the kernel sends what is left, and nobody waits.
-pub async fn close_in_background(ends: Vec<Ends>) -> io::Result<usize> {
+pub async fn close_in_background(link: &Link) {
+    static REFUSED: std::sync::Once = std::sync::Once::new();
+    let Some(ends) = ends(link).filter(|_| cfg!(target_os = "linux")) else { return };
+    if let Err(error) = do_not_linger(vec![ends]).await {
+        REFUSED.call_once(|| {
+            tracing::error!(
+                %error,
+                "the sockets of the bus cannot be reached: when another host goes off, this node receives nothing for 10 s \
+                 and more; it needs Linux 5.6, and a container CAP_SYS_PTRACE"
+            );
+        });
+    }
+}
+
+/// Returns how many there were.
+async fn do_not_linger(ends: Vec<Ends>) -> io::Result<usize> {
     run(move || system::each(&ends, system::do_not_linger)).await
 }
 
@@ -122,7 +137,7 @@ mod tests {
             set_socket_linger(socket, Some(Duration::from_secs(10))).unwrap();
         }
         let ends = (meant.local_addr().unwrap(), meant.peer_addr().unwrap());
-        assert_eq!(close_in_background(vec![ends]).await.unwrap(), 1);
+        assert_eq!(do_not_linger(vec![ends]).await.unwrap(), 1);
         assert_eq!(socket_linger(&meant).unwrap(), None);
         assert_eq!(socket_linger(&other).unwrap(), Some(Duration::from_secs(10)));
     }
@@ -135,7 +150,7 @@ mod tests {
         let file = std::fs::File::create(&path).unwrap();
         fcntl_lock(&file, FlockOperation::NonBlockingLockExclusive).unwrap();
         let end = ([127, 0, 0, 1], 1).into();
-        assert_eq!(close_in_background(vec![(end, end)]).await.unwrap(), 0);
+        assert_eq!(do_not_linger(vec![(end, end)]).await.unwrap(), 0);
         // The locks of this process do not concern itself: the kernel's table shows them.
         let (pid, inode) = (std::process::id(), std::os::unix::fs::MetadataExt::ino(&file.metadata().unwrap()));
         let locks = std::fs::read_to_string("/proc/locks").unwrap();
