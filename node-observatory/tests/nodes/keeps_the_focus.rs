@@ -87,6 +87,11 @@ impl FocusSubscribers {
 
     /// Every frame that was announced, in order of its exposure, with its last facts; waits until so many have facts.
     async fn seen(&self, least: usize) -> Vec<(Frame, Option<FrameFacts>)> {
+        self.seen_with(least, Utc::EPOCH).await
+    }
+
+    /// The same; waits until so many that began after a moment have facts.
+    async fn seen_with(&self, least: usize, after: Utc) -> Vec<(Frame, Option<FrameFacts>)> {
         let (began, mut seen) = (std::time::Instant::now(), Vec::<(Frame, Option<FrameFacts>)>::new());
         let mut facts = Vec::new();
         loop {
@@ -99,7 +104,7 @@ impl FocusSubscribers {
             for (frame, last) in &mut seen {
                 *last = facts.iter().rev().find(|facts| facts.frame == frame.id).cloned();
             }
-            if seen.iter().filter(|(_, facts)| facts.is_some()).count() >= least {
+            if seen.iter().filter(|(frame, facts)| frame.started_utc > after && facts.is_some()).count() >= least {
                 seen.sort_by_key(|(frame, _)| frame.started_utc);
                 return seen;
             }
@@ -289,16 +294,15 @@ async fn the_focus_follows_the_temperature_between_frames_and_the_node_that_take
     assert!(near(BEST + 75.0), "{:?}", position());
     sim.simulator.world().set_weather(Quantity::Temperature, Some(1.0));
     sim.until("60 steps further", MOST, |_| near(BEST + 135.0)).await;
-    let taken = frames(&sim, 0);
-    sim.until("four more", MOST, |sim| frames(sim, 0) >= taken + 4).await;
+    let followed = sim.clock.utc();
     let file = sim.folder.path().join("second/focus-alpha.json");
     let stored = || std::fs::read(&file).ok().and_then(|bytes| serde_json::from_slice::<FocusLearned>(&bytes).ok());
     sim.until("on its own disk", MOST, |_| stored().as_ref() == Some(&learned)).await;
 
     assert!(drained(&subscribers.runs).await.is_empty(), "no run was needed");
-    assert!(focus_of_exposures(&sim, Some(died)).len() >= 8);
     // At 1 C without following, they would be 1.5 times as wide.
-    let seen = subscribers.seen(12).await;
+    let seen = subscribers.seen_with(3, followed).await;
+    assert!(focus_of_exposures(&sim, Some(died)).len() >= 8);
     let widths: Vec<f64> = seen.iter().filter(|(_, facts)| facts.is_some()).map(width_px).collect();
     let (first, last) = (widths[0], median(widths[widths.len() - 3..].to_vec()));
     println!("{first:.2} px at 10 C, {last:.2} px at 1 C");
