@@ -275,6 +275,50 @@ mod tests {
         Bus::open(&config, Clock::machine_clock()).await.unwrap()
     }
 
+    fn state_key(id: &str) -> Key {
+        Key::Node(Address::new("test", "alpha").unwrap(), Role::Archive, id.parse().unwrap(), NodeTopic::State)
+    }
+
+    fn state() -> NodeState {
+        NodeState {
+            role: Role::Archive,
+            version: String::new(),
+            host: String::new(),
+            pid: 1,
+            uptime_s: 1.0,
+            speed: 1.0,
+            figures: BTreeMap::new(),
+            stopped: None,
+        }
+    }
+
+    /// Each publishes its state as a node until the other one has received it.
+    async fn publish_until_received(one: &Bus, other: &Bus) {
+        let states = Topic::Node(NodeTopic::State).everywhere().to_string();
+        for (from, to, id) in [(one, other, "one"), (other, one, "other")] {
+            let (sender, mut receiver) = mpsc::unbounded_channel();
+            let who = from.session.zid();
+            let of_it = move |sample: zenoh::sample::Sample| {
+                if sample.source_info().is_some_and(|info| info.source_id().zid() == who) {
+                    sender.send(()).unwrap_or_default();
+                }
+            };
+            let _subscriber = to.session.declare_subscriber(&states).callback(of_it).await.unwrap();
+            let publisher = from.publisher(&state_key(id)).await.unwrap();
+            let publishing = async {
+                loop {
+                    publisher.put(state()).await.unwrap();
+                    tokio::time::sleep(Duration::from_millis(100)).await;
+                }
+            };
+            let received = tokio::time::timeout(Duration::from_secs(60), receiver.recv());
+            tokio::select! {
+                received = received => assert!(received.is_ok_and(|received| received.is_some())),
+                () = publishing => {}
+            }
+        }
+    }
+
     /// Gossip named each to the other once; after a short loss of the network they did not meet, for good.
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn peers_that_met_through_a_third_one_and_lost_each_other_meet_again() {
@@ -302,6 +346,7 @@ mod tests {
         let _events = events.await.unwrap();
         let mut next = async || tokio::time::timeout(Duration::from_secs(60), receiver.recv()).await.unwrap().unwrap();
         assert_eq!(next().await, SampleKind::Put, "they meet through the third one");
+        publish_until_received(&one, &other).await;
         one.begin_anew(who, "a test cuts it").await;
         while next().await != SampleKind::Delete {}
         assert_eq!(next().await, SampleKind::Put, "and meet again");
@@ -313,20 +358,9 @@ mod tests {
     async fn links_over_which_nothing_comes_begin_anew() {
         let own = open(Vec::new()).await;
         let silent = open(own.locators().await).await;
-        let node_key =
-            |role, topic| Key::Node(Address::new("test", "alpha").unwrap(), role, "main".parse().unwrap(), topic);
-        let state = NodeState {
-            role: Role::Archive,
-            version: String::new(),
-            host: String::new(),
-            pid: 1,
-            uptime_s: 1.0,
-            speed: 1.0,
-            figures: BTreeMap::new(),
-            stopped: None,
-        };
         let (sender, mut receiver) = mpsc::unbounded_channel();
-        let alive = node_key(Role::Archive, NodeTopic::Alive);
+        let alive =
+            Key::Node(Address::new("test", "alpha").unwrap(), Role::Archive, "main".parse().unwrap(), NodeTopic::Alive);
         let tokens = own.session.liveliness().declare_subscriber(alive.to_string()).history(true);
         let _subscriber = tokens.callback(move |token| sender.send(token.kind()).unwrap_or_default()).await.unwrap();
         let _alive = silent.show_alive(&alive).await.unwrap();
@@ -335,11 +369,11 @@ mod tests {
         let mut next = async || tokio::time::timeout(Duration::from_secs(60), receiver.recv()).await.unwrap().unwrap();
         assert_eq!(next().await, SampleKind::Put);
 
-        let publisher = silent.publisher(&node_key(Role::Archive, NodeTopic::State)).await.unwrap();
+        let publisher = silent.publisher(&state_key("main")).await.unwrap();
         // Once more where nothing followed: the subscriber of the mending task may not have been declared yet.
         let mut cut = None;
         for _ in 0..6 {
-            publisher.put(state.clone()).await.unwrap();
+            publisher.put(state()).await.unwrap();
             let began = std::time::Instant::now();
             if let Ok(event) = tokio::time::timeout(Duration::from_secs(40), next()).await {
                 cut = Some((event, began.elapsed() > Duration::from_secs(15)));

@@ -162,10 +162,10 @@ mod tests {
             mounts.observe(own.clone(), stranger.clone(), reading(20.0, second), at(second));
             assert!(!mounts.all_parked(at(second)), "{second} s");
         }
-        for second in 40..43 {
+        for second in 40..51 {
             mounts.observe(own.clone(), real.clone(), reading(20.0, second), at(second));
             mounts.observe(own.clone(), stranger.clone(), reading(20.0, second), at(second));
-            assert_eq!(mounts.all_parked(at(second)), second == 42, "{second} s");
+            assert_eq!(mounts.all_parked(at(second)), second == 50, "{second} s");
         }
     }
 }

@@ -192,11 +192,11 @@ mod tests {
         let alert = json!({"alerts": [{"id": "a", "priority": "critical", "raised_utc": "2026-11-21T03:00:00Z",
             "cause": "it is half open", "consequence": "c", "action": "d"}]});
         for (key, body) in [
-            ("node/observatory/main", state("observatory", json!({"by": "starmesh up on pc", "closed": true}))),
-            ("node/device/enclosure", state("device", serde_json::Value::Null)),
-            ("observatory/alerts", alert),
+            ("node/observatory/main/state", state("observatory", json!({"by": "starmesh up on pc", "closed": true}))),
+            ("node/device/enclosure/state", state("device", serde_json::Value::Null)),
+            ("node/device/enclosure/alerts", alert),
         ] {
-            network.accept(received(&format!("paranal/callisto/{key}/state"), "b1", 1, 0, body));
+            network.accept(received(&format!("paranal/callisto/{key}"), "b1", 1, 0, body));
         }
         let page = html(network.summaries().iter(), &[], "now");
         assert!(page.contains("stopped by starmesh up on pc, closed") && page.contains("it is half open"), "{page}");
@@ -215,9 +215,14 @@ mod tests {
         let mut over = silent.clone();
         over[0]["returned_utc"] = json!("2026-11-21T03:20:00Z");
         let over = page(over);
-        assert!(over.contains("<li>high (its cause is gone): the station is silent c d</li>"), "{over}");
+        let since = "; last known, from the device node main, silent since 2027-01-15 08:00:00 UTC";
+        assert!(
+            over.contains(&format!("<li>high (its cause is gone): the station is silent{since} c d</li>")),
+            "{over}"
+        );
         let (none, one) = (page(json!([])), page(silent));
         assert!(!none.contains("paranal/shared"), "{none}");
-        assert!(one.contains("<h2>paranal/shared</h2><ul><li>high: the station is silent c d</li></ul>"), "{one}");
+        let stands = format!("<h2>paranal/shared</h2><ul><li>high: the station is silent{since} c d</li></ul>");
+        assert!(one.contains(&stands), "{one}");
     }
 }
