@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use alpaca::{Abilities, Alpaca, AlpacaError, value};
+use alpaca::{Abilities, Alpaca, AlpacaError, STATUS_DEADLINE, value};
 use bus::Clock;
 use config::Common;
 use contract::device::DeviceDescription;
@@ -210,7 +210,7 @@ impl Questions {
         if device_state && properties.len() > 1 {
             match self.alpaca.get("devicestate").await {
                 Ok(state) => poll.answers = self.matched(&properties, &state, began),
-                Err(error) if error.is_transport() && publish_after.is_some() => {
+                Err(error) if error.is_timeout() && publish_after.is_some() => {
                     (poll.lost, poll.unasked) = (Some(error), properties);
                     return poll;
                 }
@@ -269,8 +269,9 @@ impl Questions {
     }
 
     /// Asks for a property each quarter of a second, beside what else is asked, until an answer of any kind comes. One that does
-    /// not come `within` this time is not waited for: a server that was away may never give it.
-    pub async fn until_answered(self, property: &str, within: Duration) {
+    /// not come `within` this time is not waited for: a server that was away may never give it. Each next one is waited for
+    /// twice as long: a slow server must not drown in questions that nobody waits for.
+    pub async fn until_answered(self, property: &str, mut within: Duration) {
         let (member, parameters) = member(property);
         let parameters: Vec<(&str, &str)> = parameters.iter().map(|(name, value)| (*name, value.as_str())).collect();
         let alpaca = self.alpaca.at_once();
@@ -280,6 +281,7 @@ impl Questions {
             if answer.is_ok_and(|answer| !answer.is_err_and(|error| error.is_transport())) {
                 return;
             }
+            within = (within * 2).min(STATUS_DEADLINE);
             tokio::time::sleep_until(next).await;
         }
     }
@@ -371,6 +373,24 @@ mod tests {
                 // Its client may have given it up.
                 let _ = stream.read(&mut [0; 4096]).await;
                 let _ = stream.write_all(b"HTTP/1.1 500 Starting\r\nContent-Length: 0\r\n\r\n").await;
+            }
+        });
+        let limit = Duration::from_secs(60);
+        tokio::time::timeout(limit, asking.until_answered("RainRate", KNOCK_EVERY)).await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_server_that_answers_slowly_one_after_the_other_is_not_drowned_in_questions() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let asking = questions(&listener);
+        listener.set_nonblocking(true).unwrap();
+        let listener = tokio::net::TcpListener::from_std(listener).unwrap();
+        tokio::spawn(async move {
+            loop {
+                let (mut stream, _) = listener.accept().await.unwrap();
+                let _ = stream.read(&mut [0; 4096]).await;
+                tokio::time::sleep(KNOCK_EVERY * 3).await;
+                let _ = stream.write_all(b"HTTP/1.1 500 Slow\r\nContent-Length: 0\r\n\r\n").await;
             }
         });
         let limit = Duration::from_secs(60);

@@ -48,7 +48,7 @@ pub fn start(tasks: &mut Tasks, authority: &Arc<Authority>, orders: &OrderState)
 /// or a person acknowledges them, its last alerts stand. Pure: time comes in.
 #[derive(Default)]
 struct OtherLists {
-    lists: BTreeMap<(Role, Name), (Alerts, MachineTime)>,
+    lists: BTreeMap<(Role, Name), (Alerts, MachineTime, BootId)>,
     /// Incarnations that ended in good order: a list of one of these is older than its end.
     ended: BTreeMap<(Role, Name), BootId>,
 }
@@ -58,23 +58,26 @@ impl OtherLists {
         let has_room = self.lists.len() < MOST_NODES || self.lists.contains_key(&who);
         if has_room && self.ended.get(&who) != Some(boot_id) {
             list.alerts.truncate(MOST_ALERTS_OF_NODE);
-            self.lists.insert(who, (list, arrived));
+            self.lists.insert(who, (list, arrived, boot_id.clone()));
         }
     }
 
     fn observe(&mut self, who: (Role, Name), boot_id: &BootId, state: &NodeState) {
         if state.ended_well() && (self.ended.len() < MOST_NODES || self.ended.contains_key(&who)) {
-            self.lists.remove(&who);
+            // A start after it may have published already.
+            if self.lists.get(&who).is_some_and(|(_, _, of)| of == boot_id) {
+                self.lists.remove(&who);
+            }
             self.ended.insert(who, boot_id.clone());
         }
     }
 
     /// The lists that stand, without what a person has acknowledged of those of silent nodes.
     fn stand(&mut self, known: &Annunciator, now: MachineTime) -> impl Iterator<Item = Alerts> {
-        for (alerts, _) in self.lists.values_mut().filter(|(_, arrived)| now.since(*arrived) > SILENCE) {
+        for (alerts, ..) in self.lists.values_mut().filter(|(_, arrived, _)| now.since(*arrived) > SILENCE) {
             known.stand_on(alerts);
         }
-        self.lists.values().map(|(alerts, _)| alerts.clone())
+        self.lists.values().map(|(alerts, ..)| alerts.clone())
     }
 }
 
@@ -188,6 +191,8 @@ mod tests {
             assert_eq!(count(&mut lists, 9000), stands, "{last:?}: what it sent before its end arrives after it");
             lists.take(guest(), &second, list(), at(9000));
             assert_eq!(count(&mut lists, 9001), 1, "{last:?}: it was started again");
+            lists.observe(guest(), &first, &state(last));
+            assert_eq!(count(&mut lists, 9001), 1, "{last:?}: the end of its start before arrives late");
         }
     }
 }

@@ -11,6 +11,8 @@ use crate::journal::Journal;
 
 /// A disk that fails is tried again after this.
 const AGAIN: Duration = Duration::from_secs(2);
+/// One that does not answer for so long is an alert.
+const HANGS: Duration = Duration::from_secs(10);
 
 /// Turns the switch off; that closes what it had opened.
 pub fn turn_off(authority: &Authority, journal: &Arc<Journal>, why: &str) {
@@ -31,12 +33,22 @@ pub fn note_off(authority: &Authority, journal: &Arc<Journal>) {
 async fn until_written(journal: Arc<Journal>, alerts: NodeAlerts, stop: Stop) {
     loop {
         let writing = journal.clone();
-        let written = tokio::task::spawn_blocking(move || writing.write_switch()).await;
+        let complain = |why: &str| {
+            let cause = format!("the robotic switch is off, and a restart will not know it: {why}");
+            alerts.raise(AlertKind::Journal, "", &cause);
+        };
+        let mut writing = tokio::task::spawn_blocking(move || writing.write_switch());
+        let written = match tokio::time::timeout(HANGS, &mut writing).await {
+            Ok(written) => written,
+            Err(_) => {
+                complain(&format!("no answer of the disk within {} s", HANGS.as_secs()));
+                writing.await
+            }
+        };
         let Err(error) = written.map_err(std::io::Error::other).and_then(|written| written) else {
             return alerts.clear(AlertKind::Journal, "");
         };
-        let cause = format!("the robotic switch is off, and a restart will not know it: {error}");
-        alerts.raise(AlertKind::Journal, "", &cause);
+        complain(&error.to_string());
         if stop.or(tokio::time::sleep(AGAIN)).await.is_none() {
             return;
         }

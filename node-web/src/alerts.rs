@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use bus::MachineTime;
 use contract::node::fallen_silent;
 use contract::observatory::{Alert, AlertKind, Alerts, Priority, Standing};
-use contract::{Key, Name, NodeTopic, Part};
+use contract::{Key, Name, NodeTopic, Part, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 use serde_json::Value;
@@ -48,6 +48,8 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
     }
     let stopped = StoppedTelescope::of(telescope);
     let is_closed = stopped.as_ref().is_some_and(StoppedTelescope::is_closed);
+    let of_observatory = |entry: &&Entry| matches!(entry.key, Key::Node(_, Role::Observatory, _, NodeTopic::State));
+    let ended_utc = telescope.states.values().filter(of_observatory).map(|entry| entry.at_utc).max();
     let mut found: BTreeMap<String, Alert> = BTreeMap::new();
     // The observatory node's own list contains what people did about each. An end in good order takes it back.
     let list = telescope.states.values().find(|entry| matches!(entry.key, Key::Observatory(_, Part::Alerts)));
@@ -66,7 +68,8 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
             if others_know {
                 continue;
             }
-            if is_closed {
+            // What happened after all was closed, and before that node fell silent, stands.
+            if is_closed && ended_utc.is_some_and(|ended| alert.raised_utc < ended) {
                 alert.returned_utc = alert.returned_utc.or(Some(silent.since));
             }
             alert.cause += &silent.words;
@@ -255,6 +258,13 @@ mod tests {
         let over = [list, ("node/observatory/main/state", 200, stopped(true))];
         let gone = Some((Standing::Gone, last.to_owned()));
         assert_eq!(told(json!({}), &over, 9000), gone, "all that closes was closed in good order since");
+        let mut after = alert("dome-not-closed/dome", "critical");
+        after["raised_utc"] = json!("2027-01-15T09:00:00Z");
+        let after = [(alerts, 150, json!({ "alerts": [after] })), ("node/observatory/main/state", 120, stopped(true))];
+        assert!(
+            told(json!({}), &after, 9000).is_some_and(|(standing, _)| standing == Standing::Active),
+            "raised since"
+        );
         assert_eq!(told(stopped(true), &[], 101), None, "it ended in good order");
         assert_eq!(told(stopped(false), &[], 9000), own(last), "it left something open");
         let merged = [("observatory/alerts/state", 9000, json!({ "alerts": [] }))];
