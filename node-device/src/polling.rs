@@ -356,12 +356,22 @@ mod tests {
         }
     }
 
-    #[tokio::test]
-    async fn a_device_that_was_silent_is_asked_until_it_answers() {
+    /// A server, and what asks it.
+    fn server() -> (tokio::net::TcpListener, Questions) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let asking = questions(&listener);
         listener.set_nonblocking(true).unwrap();
-        let listener = tokio::net::TcpListener::from_std(listener).unwrap();
+        (tokio::net::TcpListener::from_std(listener).unwrap(), asking)
+    }
+
+    async fn is_answered(asking: Questions) {
+        let limit = Duration::from_secs(60);
+        tokio::time::timeout(limit, asking.until_answered("RainRate", KNOCK_EVERY)).await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_device_that_was_silent_is_asked_until_it_answers() {
+        let (listener, asking) = server();
         tokio::spawn(async move {
             let mut hang = Vec::new();
             loop {
@@ -375,16 +385,12 @@ mod tests {
                 let _ = stream.write_all(b"HTTP/1.1 500 Starting\r\nContent-Length: 0\r\n\r\n").await;
             }
         });
-        let limit = Duration::from_secs(60);
-        tokio::time::timeout(limit, asking.until_answered("RainRate", KNOCK_EVERY)).await.unwrap();
+        is_answered(asking).await;
     }
 
     #[tokio::test]
     async fn a_server_that_answers_slowly_one_after_the_other_is_not_drowned_in_questions() {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let asking = questions(&listener);
-        listener.set_nonblocking(true).unwrap();
-        let listener = tokio::net::TcpListener::from_std(listener).unwrap();
+        let (listener, asking) = server();
         tokio::spawn(async move {
             loop {
                 let (mut stream, _) = listener.accept().await.unwrap();
@@ -393,7 +399,6 @@ mod tests {
                 let _ = stream.write_all(b"HTTP/1.1 500 Slow\r\nContent-Length: 0\r\n\r\n").await;
             }
         });
-        let limit = Duration::from_secs(60);
-        tokio::time::timeout(limit, asking.until_answered("RainRate", KNOCK_EVERY)).await.unwrap();
+        is_answered(asking).await;
     }
 }

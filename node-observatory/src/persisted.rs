@@ -22,9 +22,21 @@ use tokio::sync::{Mutex, OwnedMutexGuard, watch};
 use crate::hold::Hold;
 
 /// A disk that fails is tried again after this.
-const AGAIN: Duration = Duration::from_secs(2);
+pub const AGAIN: Duration = Duration::from_secs(2);
 /// One that does not answer for so long is an alert.
 const HANGS: Duration = Duration::from_secs(10);
+
+/// Waits for a disk, and complains meanwhile where it does not answer within [`HANGS`].
+pub async fn answer_of_disk<T>(writing: impl Future<Output = T>, complain: impl FnOnce(&str)) -> T {
+    let mut writing = pin!(writing);
+    match tokio::time::timeout(HANGS, writing.as_mut()).await {
+        Ok(answer) => answer,
+        Err(_) => {
+            complain(&format!("no answer of the disk within {} s", HANGS.as_secs()));
+            writing.await
+        }
+    }
+}
 
 /// A value and its file.
 #[derive(Debug)]
@@ -185,16 +197,8 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Persisted<T> {
             if self.is_on_disk() {
                 alerts.clear(alert, "");
             } else if hold.borrow().may_publish() {
-                let mut writing = pin!(self.write());
-                let written = match tokio::time::timeout(HANGS, writing.as_mut()).await {
-                    Ok(written) => written,
-                    Err(_) => {
-                        let (path, waited_s) = (self.path.display(), HANGS.as_secs());
-                        complain(&format!("{path}: no answer of the disk within {waited_s} s"));
-                        writing.await
-                    }
-                };
-                if let Err(error) = written {
+                let hangs = |why: &str| complain(&format!("{}: {why}", self.path.display()));
+                if let Err(error) = answer_of_disk(self.write(), hangs).await {
                     complain(&error.to_string());
                     tokio::time::sleep(AGAIN).await;
                     continue;

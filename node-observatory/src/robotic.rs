@@ -1,18 +1,13 @@
 //! The robotic switch: off closes what it had opened, and acts before it is on disk.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use contract::observatory::AlertKind;
 use node::{NodeAlerts, Stop};
 
 use crate::authority::Authority;
 use crate::journal::Journal;
-
-/// A disk that fails is tried again after this.
-const AGAIN: Duration = Duration::from_secs(2);
-/// One that does not answer for so long is an alert.
-const HANGS: Duration = Duration::from_secs(10);
+use crate::persisted::{AGAIN, answer_of_disk};
 
 /// Turns the switch off; that closes what it had opened.
 pub fn turn_off(authority: &Authority, journal: &Arc<Journal>, why: &str) {
@@ -37,14 +32,7 @@ async fn until_written(journal: Arc<Journal>, alerts: NodeAlerts, stop: Stop) {
             let cause = format!("the robotic switch is off, and a restart will not know it: {why}");
             alerts.raise(AlertKind::Journal, "", &cause);
         };
-        let mut writing = tokio::task::spawn_blocking(move || writing.write_switch());
-        let written = match tokio::time::timeout(HANGS, &mut writing).await {
-            Ok(written) => written,
-            Err(_) => {
-                complain(&format!("no answer of the disk within {} s", HANGS.as_secs()));
-                writing.await
-            }
-        };
+        let written = answer_of_disk(tokio::task::spawn_blocking(move || writing.write_switch()), complain).await;
         let Err(error) = written.map_err(std::io::Error::other).and_then(|written| written) else {
             return alerts.clear(AlertKind::Journal, "");
         };

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use bus::MachineTime;
 use contract::node::fallen_silent;
 use contract::observatory::{Alert, AlertKind, Alerts, Priority, Standing};
-use contract::{Key, Name, NodeTopic, Part, Role};
+use contract::{Key, Name, NodeTopic, Part};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 use serde_json::Value;
@@ -47,9 +47,7 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
         return sorted(shared.into_iter());
     }
     let stopped = StoppedTelescope::of(telescope);
-    let is_closed = stopped.as_ref().is_some_and(StoppedTelescope::is_closed);
-    let of_observatory = |entry: &&Entry| matches!(entry.key, Key::Node(_, Role::Observatory, _, NodeTopic::State));
-    let ended_utc = telescope.states.values().filter(of_observatory).map(|entry| entry.at_utc).max();
+    let closed_utc = stopped.as_ref().filter(|stopped| stopped.is_closed()).map(|stopped| stopped.ended_utc);
     let mut found: BTreeMap<String, Alert> = BTreeMap::new();
     // The observatory node's own list contains what people did about each. An end in good order takes it back.
     let list = telescope.states.values().find(|entry| matches!(entry.key, Key::Observatory(_, Part::Alerts)));
@@ -69,7 +67,7 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
                 continue;
             }
             // What happened after all was closed, and before that node fell silent, stands.
-            if is_closed && ended_utc.is_some_and(|ended| alert.raised_utc < ended) {
+            if closed_utc.is_some_and(|closed| alert.raised_utc < closed) {
                 alert.returned_utc = alert.returned_utc.or(Some(silent.since));
             }
             alert.cause += &silent.words;

@@ -4,6 +4,7 @@ use contract::node::Stopped;
 use contract::{Key, NodeTopic, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
+use units::Utc;
 
 use crate::model::{Entry, Telescope};
 
@@ -15,6 +16,9 @@ pub struct StoppedTelescope {
     /// Everything that closes was verified closed; absent where nothing of it closes, or a node of it still runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub closed: Option<bool>,
+    /// When the last of them ended.
+    #[serde(skip)]
+    pub ended_utc: Utc,
 }
 
 impl StoppedTelescope {
@@ -28,6 +32,7 @@ impl StoppedTelescope {
         };
         let mut observatories = of_role(Role::Observatory).map(stopped).collect::<Option<Vec<_>>>()?;
         let last = observatories.pop()?;
+        let ended_utc = of_role(Role::Observatory).map(|entry| entry.at_utc).max()?;
         // What an enclosure's own node reports last counts more than what the observatory node saw before.
         let enclosures = of_role(Role::Device).filter_map(stopped).filter_map(|stopped| stopped.closed);
         let all: Vec<bool> = observatories.iter().chain([&last]).filter_map(|stopped| stopped.closed).collect();
@@ -35,7 +40,7 @@ impl StoppedTelescope {
         let known = if enclosures.is_empty() { all } else { enclosures };
         let closed = (!known.is_empty()).then(|| known.iter().all(|closed| *closed));
         let text = Stopped { closed, ..last }.to_string();
-        Some(Self { text, closed })
+        Some(Self { text, closed, ended_utc })
     }
 
     /// Everything that closes was verified closed, so that its silence is no fault.

@@ -17,12 +17,9 @@ use contract::{Address, Device, DeviceState, Key, Kind, NodeTopic, Part, Role, S
 use overview::{DomeView, PublishedGuard, Seen, length};
 use units::Utc;
 
-use self::words::{alert_words, reason_words, sky_word};
+use self::words::{alert_lines, reason_words, sky_word};
 use crate::console::{foreign_line, line};
 use crate::join::Join;
-
-/// So many alerts of a telescope are shown: those that need somebody first, and of these the most urgent ones.
-const MOST_ALERTS: usize = 5;
 
 /// Options of `starmesh status`.
 #[derive(Debug, Args)]
@@ -275,13 +272,7 @@ impl Status {
             }
         }
         lines.extend(self.counted(&alerts));
-        lines.extend(alerts.iter().take(MOST_ALERTS).map(alert_words));
-        if let Some(more) = alerts.len().checked_sub(MOST_ALERTS).filter(|more| *more > 0) {
-            lines.push(format!(
-                "    {more} more alerts: starmesh tail '{}'",
-                Key::Observatory(address.clone(), Part::Alerts)
-            ));
-        }
+        lines.extend(alert_lines(&alerts, Key::Observatory(address.clone(), Part::Alerts)));
         lines
     }
 

@@ -37,7 +37,8 @@ struct World {
     answers: BTreeMap<String, FakeAnswer>,
     puts: Vec<Put>,
     effects: BTreeMap<String, Effect>,
-    gets_hang: bool,
+    /// So many questions hang yet.
+    gets_hang: u64,
     gets_take: Duration,
     /// Where it answers one request at a time.
     one_at_a_time: Option<Arc<tokio::sync::Mutex<()>>>,
@@ -100,7 +101,19 @@ impl Fake {
 
     /// Every property hangs, or none.
     pub fn hang(&self, on: bool) {
-        self.world.lock().unwrap().gets_hang = on;
+        self.hang_next(if on { u64::MAX } else { 0 });
+    }
+
+    /// So many questions hang, and those after them are answered.
+    pub fn hang_next(&self, count: u64) {
+        self.world.lock().unwrap().gets_hang = count;
+    }
+
+    fn takes_to_hang(&self) -> bool {
+        let mut world = self.world.lock().unwrap();
+        let hangs = world.gets_hang > 0;
+        world.gets_hang = world.gets_hang.saturating_sub(1);
+        hangs
     }
 
     /// Requests that hang now, and whose clients wait.
@@ -195,7 +208,7 @@ async fn answer(
             .get(&format!("put {member}"))
             .cloned()
             .or(Some(FakeAnswer::Value(Value::Null)))
-    } else if fake.world.lock().unwrap().gets_hang {
+    } else if fake.takes_to_hang() {
         Some(FakeAnswer::Hangs)
     } else if let Some(image) = fake.camera(&member) {
         return image;

@@ -25,10 +25,9 @@ async fn a_monitor() -> (Fake, Stage, f64, usize) {
 #[tokio::test(flavor = "multi_thread")]
 async fn one_question_without_an_answer_loses_no_device_that_decides() {
     let (hardware, stage, before_s, connected) = a_monitor().await;
-    hardware.hang(true);
+    // One is never answered, and the next one is.
+    hardware.hang_next(1);
     until("a question hangs", || hardware.hanging() > 0).await;
-    // That one is never answered, and the next one is.
-    hardware.hang(false);
     // The question hangs for 2 s, so that this is a reading after it.
     stage.until::<SafetyMonitor>("monitor", |state| state.fields.gapless_safe_s > before_s + 2.0).await;
     assert_eq!(hardware.puts("connected").len(), connected, "it was not connected anew");

@@ -10,8 +10,8 @@ use contract::observatory::{Alert, Alerts, Standing, merge};
 use contract::{Address, Device, DeviceState, Key, Kind, Link, NodeTopic, Topic};
 use overview::length;
 
-use super::words::alert_words;
-use super::{MOST_ALERTS, Status, is_shared};
+use super::words::alert_lines;
+use super::{Status, is_shared};
 
 /// A device node publishes the state of a device that hangs each 15 s.
 const SILENT_S: f64 = 20.0;
@@ -48,11 +48,7 @@ pub(super) fn lines(address: &Address, status: &Status, sensors: &BTreeMap<Devic
         format!("{:28} {:8} {:9} {:8} {:14} {active:>6}  {now}", address.to_string(), "-", "-", "-", "-"),
         format!("    nodes of the shared devices that answer: {}", status.node_names()),
     ];
-    lines.extend(alerts.iter().take(MOST_ALERTS).map(alert_words));
-    if let Some(more) = alerts.len().checked_sub(MOST_ALERTS).filter(|more| *more > 0) {
-        let all = Topic::Node(NodeTopic::Alerts).at(address);
-        lines.push(format!("    {more} more alerts: starmesh tail '{all}'"));
-    }
+    lines.extend(alert_lines(&alerts, Topic::Node(NodeTopic::Alerts).at(address)));
     lines
 }
 
