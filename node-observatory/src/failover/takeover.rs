@@ -1,6 +1,8 @@
 //! What a node learns when it becomes the commander: what the one before it did, and what people ordered meanwhile.
 
 use std::collections::BTreeSet;
+use std::io;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -137,29 +139,37 @@ fn put(takeover: &Takeover, orders: &ActiveOrders) {
 
 /// The orders in the folder; makes the journal this node's.
 async fn read(takeover: &Takeover) -> OnDisk {
-    let (node, journal) = (takeover.authority.node.clone(), takeover.journal.clone());
-    let reading = tokio::task::spawn_blocking(move || {
-        (active_orders::read(&active_orders::path(&node.config)), journal.take_over())
-    });
-    let (disk, taken) = match tokio::time::timeout(DISK, reading).await {
-        Ok(Ok(read)) => read,
-        Ok(Err(_)) | Err(_) => {
-            let why = format!(
-                "the disk did not answer within {} s when {} was read",
-                DISK.as_secs(),
-                active_orders::path(&takeover.authority.node.config).display()
-            );
-            (OnDisk::Unreadable(why), Err(std::io::ErrorKind::TimedOut.into()))
-        }
-    };
+    let node = &takeover.authority.node;
+    let (disk, taken) = read_within(active_orders::path(&node.config), takeover.journal.clone(), [DISK; 2]).await;
     match taken {
-        Ok(()) => takeover.authority.node.alerts.clear(AlertKind::Journal, ""),
+        Ok(()) => node.alerts.clear(AlertKind::Journal, ""),
         Err(error) => {
             let cause = format!("the journal cannot be taken over: {error}");
-            takeover.authority.node.alerts.raise(AlertKind::Journal, "", &cause);
+            node.alerts.raise(AlertKind::Journal, "", &cause);
         }
     }
     disk
+}
+
+/// Each is waited for by itself: the journal is written anew, and a disk may answer slowly to that alone.
+async fn read_within(path: PathBuf, journal: Arc<Journal>, within: [Duration; 2]) -> (OnDisk, io::Result<()>) {
+    let file = path.clone();
+    let reading = tokio::task::spawn_blocking(move || active_orders::read(&file));
+    let taking = tokio::task::spawn_blocking(move || journal.take_over());
+    let [orders, journal] = within;
+    let (read, taken) = tokio::join!(tokio::time::timeout(orders, reading), tokio::time::timeout(journal, taking));
+    let disk = match read {
+        Ok(Ok(disk)) => disk,
+        Ok(Err(_)) | Err(_) => {
+            let (within_s, path) = (orders.as_secs(), path.display());
+            OnDisk::Unreadable(format!("the disk did not answer within {within_s} s when {path} was read"))
+        }
+    };
+    let taken = match taken {
+        Ok(Ok(taken)) => taken,
+        Ok(Err(_)) | Err(_) => Err(io::ErrorKind::TimedOut.into()),
+    };
+    (disk, taken)
 }
 
 /// The last payload of another incarnation than this one.
@@ -249,6 +259,17 @@ mod tests {
         drop(slow);
         ending.await.unwrap();
         orders.get().stay_closed.is_some()
+    }
+
+    #[tokio::test]
+    async fn a_disk_that_is_slow_to_write_the_journal_keeps_no_order_from_being_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let journal = Arc::new(Journal::open(&folder.path().join("journal.jsonl")).unwrap());
+        let read = async |within| read_within(folder.path().join("orders.json"), journal.clone(), within).await;
+        let (disk, taken) = read([SLOW_DISK; 2]).await;
+        assert_eq!((disk, taken.is_ok()), (OnDisk::Absent, true));
+        let (disk, _) = read([SLOW_DISK, Duration::ZERO]).await;
+        assert_eq!(disk, OnDisk::Absent, "the journal is waited for no longer");
     }
 
     #[tokio::test]
