@@ -21,7 +21,7 @@ after(() => {
 });
 const SERVICE = `http://127.0.0.1:${/** @type {any} */ (service.address()).port}`;
 
-const [site, browser] = await withBrowser(startAlone((file) => appendFileSync(file, `names = ["${NAME}"]\npush_services = ["${SERVICE}"]\n`)), [`--host-resolver-rules=MAP ${NAME} 127.0.0.1`]);
+const [site, browser] = await withBrowser(startAlone((file) => appendFileSync(file, `names = ["${NAME}"]\npush_services = ["${SERVICE}"]\n`)), [`--host-resolver-rules=MAP ${NAME} 127.0.0.1`], { whole: true });
 
 async function settings(options, url = site.url, prepare = async (_) => {}) {
   const page = await newPage(browser, { viewport: { width: 390, height: 844 }, ...options });

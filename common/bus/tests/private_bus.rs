@@ -249,6 +249,9 @@ async fn who_visits_two_networks_meets_all_of_both_and_joins_them_not() {
     let visitor = Bus::visit(&config, Clock::machine_clock()).await.unwrap();
     // Also those that it has no address of.
     until_it_meets(4, &visitor).await;
+    for one in [&first, &second, &third, &fourth] {
+        until_it_meets(2, one).await;
+    }
     // Who was introduced to somebody meets him at once; on a slow machine this shows less.
     tokio::time::sleep(Duration::from_secs(2)).await;
     for one in [&first, &second, &third, &fourth] {

@@ -5,7 +5,7 @@ use std::time::Duration;
 use contract::{Link, NoData};
 use tokio::time::Instant;
 
-use super::Loop;
+use super::{Loop, Turn};
 use crate::deciding;
 use crate::driver::Driver;
 use crate::polling::{LANES, Poll, Wanted};
@@ -131,5 +131,47 @@ impl<D: Driver> Loop<D> {
         }
         self.next_turn = at_once;
         true
+    }
+}
+
+impl<D: Driver> Turn<D> {
+    /// Whether a loop that `stood_still` goes by it: what was asked before a stall means nothing after it. Above all, a
+    /// deadline that passed meanwhile shows no silent device.
+    pub(super) fn counts(&self, stood_still: bool) -> bool {
+        !(stood_still && matches!(self, Self::Polling(_)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use alpaca::AlpacaError;
+    use bus::{MachineTime, SkyTime};
+    use node::Looks;
+
+    use super::super::Polling;
+    use super::*;
+    use crate::driver::filter_wheel::FilterWheel;
+    use crate::now::Now;
+
+    fn at(ms: u64) -> MachineTime {
+        MachineTime::from_boot(Duration::from_millis(ms))
+    }
+
+    /// A poll whose question was not answered before its deadline.
+    fn unanswered() -> Turn<FilterWheel> {
+        let began = Now { machine: at(0), sky: SkyTime::from_start(Duration::ZERO) };
+        let (answers, unasked, lost) = (Vec::new(), Vec::new(), Some(AlpacaError::timeout(2.0)));
+        let began_at = Instant::now();
+        let poll = Poll { began, began_at, answers, lost, full: true, device_state: false, crowded: false, unasked };
+        Turn::Polling(Polling::Polled(poll))
+    }
+
+    #[test]
+    fn a_deadline_that_passed_while_the_node_stood_still_loses_no_device() {
+        for (next_look_ms, is_lost) in [(1000, true), (2700, true), (2800, false), (4000, false)] {
+            let stood_still = Looks::begin(at(0), STALL).stood_still_since(at(next_look_ms)).is_some();
+            assert_eq!(unanswered().counts(stood_still), is_lost, "the next look after {next_look_ms} ms");
+            assert!(Turn::<FilterWheel>::Due.counts(stood_still), "only answers are dropped");
+        }
     }
 }

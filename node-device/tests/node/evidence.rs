@@ -135,19 +135,3 @@ async fn a_slow_station_reports_rain() {
         stage.end().await;
     }
 }
-
-/// Real threads: what is stalled here is the runtime of the node itself.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_node_that_stood_still_reads_anew() {
-    let hardware = Fake::start(&[("issafe", json!(true))]).await;
-    let stage = Stage::start(&block("safetymonitor", "monitor", hardware.address, "period_s = 0.5")).await;
-    stage.until::<SafetyMonitor>("monitor", |state| state.fields.gapless_safe_s > 1.5).await;
-    for _ in 0..8 {
-        tokio::spawn(async { std::thread::sleep(Duration::from_secs(4)) });
-    }
-    std::thread::sleep(Duration::from_millis(500));
-    hardware.answer("issafe", FakeAnswer::Value(json!(false)));
-    let record = stage.until::<SafetyMonitor>("monitor", |state| state.fields.is_safe.known() == Some(&false)).await;
-    assert_eq!(record.fields.gapless_safe_s, 0.0);
-    stage.end().await;
-}

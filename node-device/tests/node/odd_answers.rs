@@ -341,6 +341,48 @@ async fn a_limit_that_cannot_be_is_unknown_named_and_asked_again() {
     stage.end().await;
 }
 
+/// As a limit it would refuse every row, and as nonsense it would be an alert for good.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_that_states_no_limit_is_not_limited_and_is_no_alert() {
+    let camera = a_camera().await;
+    let limits = [("exposuremin", json!(0.001)), ("exposuremax", json!(0.0)), ("exposureresolution", json!(0.0))];
+    limits.into_iter().for_each(|(member, value)| camera.answer(member, FakeAnswer::Value(value)));
+    let focuser = a_focuser(&[("maxstep", json!(0)), ("maxincrement", json!(0))]).await;
+    let rotator = Fake::start(&[
+        ("position", json!(0.0)),
+        ("mechanicalposition", json!(0.0)),
+        ("ismoving", json!(false)),
+        ("stepsize", json!(-1.0)),
+    ])
+    .await;
+    let panel = [("coverstate", json!(0)), ("calibratorstate", json!(1)), ("brightness", json!(0))];
+    let panel = Fake::start(&panel).await;
+    panel.answer("maxbrightness", FakeAnswer::Value(json!(0)));
+    let devices = [
+        ("camera", "cam", &camera),
+        ("focuser", "focus", &focuser),
+        ("rotator", "rotator", &rotator),
+        ("covercalibrator", "panel", &panel),
+    ];
+    let blocks: String = devices.map(|(kind, name, hardware)| block(kind, name, hardware, "period_s = 0.2")).concat();
+    let stage = Stage::start(&blocks).await;
+    let can = described::<camera::Camera>(&stage, "cam", |cam| !cam.unread.contains_key("ExposureMax")).await.can;
+    assert_eq!((can.exposure_min_s, can.exposure_max_s), (Some(0.001), None));
+    assert_eq!(can.exposure_s(3600.0), Ok(3600.0));
+    let is_read = |focus: &DeviceDescription<focuser::Capabilities>| {
+        !["MaxStep", "MaxIncrement"].iter().any(|name| focus.unread.contains_key(*name))
+    };
+    let can = described::<focuser::Focuser>(&stage, "focus", is_read).await.can;
+    assert_eq!((can.last_position(), can.max_increment), (None, None));
+    let can = described::<rotator::Rotator>(&stage, "rotator", |one| !one.unread.contains_key("StepSize")).await.can;
+    assert_eq!(can.step_deg, None);
+    let is_read =
+        |panel: &DeviceDescription<cover_calibrator::Capabilities>| !panel.unread.contains_key("MaxBrightness");
+    let can = described::<cover_calibrator::CoverCalibrator>(&stage, "panel", is_read).await.can;
+    assert!(can.calibrator && can.max_brightness == 0);
+    stage.end().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn of_a_shortest_exposure_that_is_longer_than_the_longest_nobody_knows_which_is_wrong() {
     let hardware = a_camera().await;
@@ -353,6 +395,18 @@ async fn of_a_shortest_exposure_that_is_longer_than_the_longest_nobody_knows_whi
     hardware.answer("exposuremin", FakeAnswer::Value(json!(0.02)));
     let known = described::<camera::Camera>(&stage, "cam", |cam| cam.unread.is_empty()).await.can;
     assert_eq!((known.exposure_min_s, known.exposure_max_s), (Some(0.02), Some(10.0)));
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_image_of_another_size_than_was_asked_for_is_refused_where_it_comes_as_json_too() {
+    let hardware = a_camera().await;
+    hardware.answer("imagearray", FakeAnswer::Value(json!([[1, 2], [3, 4]])));
+    let stage = Stage::start(&block("camera", "cam", &hardware, "period_s = 0.2")).await;
+    stage.until::<camera::Camera>("cam", |state| state.link == Link::Connected).await;
+    accepted(&stage.command(Kind::Camera, "cam", &expose("f0", 0.1)).await);
+    let cause = alert(&stage, "image-unreadable/cam").await;
+    assert!(cause.contains("the image has 2 x 2 px, asked for 3 x 2 px"), "{cause}");
     stage.end().await;
 }
 

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use contract::device::camera;
 use contract::device::dome;
+use contract::device::filter_wheel::FilterWheel;
 use contract::device::observing_conditions::ObservingConditions;
 use contract::device::safety_monitor::SafetyMonitor;
 use contract::observatory::Lease;
@@ -244,5 +245,25 @@ async fn a_node_that_stood_still_does_not_go_on_with_what_it_had_read() {
         }
     };
     tokio::time::timeout(LIMIT, waiting).await.unwrap();
+    stage.end().await;
+}
+
+// Real threads stand still for some seconds, and the server must answer before its next deadline passes. The rule itself is judged
+// in `serve/turns.rs`, where time is a value.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_question_that_was_asked_before_the_node_stood_still_loses_no_device() {
+    let wheel = Fake::start(&[("position", json!(1)), ("names", json!(["R", "G"]))]).await;
+    let stage = Stage::start(&block("filterwheel", "wheel", &wheel, "period_s = 2")).await;
+    stage.until::<FilterWheel>("wheel", |state| state.fields.filter.known() == Some(&"G".to_owned())).await;
+    let connected = wheel.puts("connected").len();
+    wheel.hang(true);
+    until("a question hangs", || wheel.hanging() > 0).await;
+    for _ in 0..4 {
+        tokio::spawn(async { std::thread::sleep(Duration::from_secs(4)) });
+    }
+    wheel.hang(false);
+    wheel.answer("position", FakeAnswer::Value(json!(0)));
+    stage.until::<FilterWheel>("wheel", |state| state.fields.filter.known() == Some(&"R".to_owned())).await;
+    assert_eq!(wheel.puts("connected").len(), connected, "it was not connected anew");
     stage.end().await;
 }

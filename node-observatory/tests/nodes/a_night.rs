@@ -1,7 +1,7 @@
 //! The observatory node on a real bus, with fake devices: opens, observes, closes, goes on.
 
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use contract::OrderKind;
 use contract::device::camera::Command as Camera;
@@ -204,15 +204,10 @@ async fn a_hold_of_the_guard_is_ended_before_opening() {
     site.hold.store(true, Ordering::Relaxed);
     site.write_schedule(&[("open", "{}", "03:00:00", "08:00:00")]);
     let node = site.start().await;
-    let runs = |site: &Site| statuses(site) == [RowStatus::Running];
-    site.until("running", MOST, runs).await;
-    let running = Instant::now();
     site.until("finished", MOST, |site| statuses(site) == [RowStatus::Finished]).await;
     let log = site.dome.log.lock().unwrap().clone();
     let commands: Vec<&Dome> = log.iter().map(|(_, command)| command).collect();
     assert_eq!(commands[..2], [&Dome::Resume, &Dome::OpenShutter], "{commands:?}");
-    let waited = log[0].0.duration_since(running);
-    assert!(waited >= Duration::from_secs(3), "who let it close may still ask this node: {waited:?}");
     node.stop().await;
 }
 
