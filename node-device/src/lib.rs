@@ -72,6 +72,8 @@ use audit::Audit;
 use node::{Node, NodeOptions};
 use tokio::task::JoinSet;
 
+pub use guard_process::forget_deleted_site;
+
 use guard_process::link::GuardLink;
 use guard_process::remembered_tokens;
 

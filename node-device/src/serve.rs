@@ -31,12 +31,13 @@ use tokio::time::{Instant, sleep_until};
 
 use self::command::RunningCommand;
 use self::contradiction::Contradiction;
+use self::silence::SilentPolls;
 use self::unread::ReadingAgain;
 use crate::command_server::{CommandServer, Order};
 use crate::driver::{Capabilities, Command, Driver, Executed, Fields};
 use crate::has::Has;
 use crate::now::Now;
-use crate::polling::{Greeting, LOST_AFTER, Poll, PropertyAnswer, Questions};
+use crate::polling::{Greeting, Poll, PropertyAnswer, Questions};
 use crate::readings::Readings;
 use crate::record::StatePublisher;
 
@@ -112,8 +113,7 @@ struct Loop<D: Driver> {
     next_description: Instant,
     busy_since: Option<Instant>,
     failures: i32,
-    /// Polls in a row that brought no whole answer.
-    silent_polls: usize,
+    silent_polls: SilentPolls,
     published: Option<(DeviceState<Fields<D>>, Instant)>,
     /// What of the rest is still to be asked in this round, where what decides is read apart.
     rest: VecDeque<String>,
@@ -176,7 +176,7 @@ impl<D: Driver> Serve<D> {
             next_description: now,
             busy_since: None,
             failures: 0,
-            silent_polls: 0,
+            silent_polls: SilentPolls::default(),
             published: None,
             rest: VecDeque::new(),
             parts: VecDeque::new(),
@@ -214,11 +214,10 @@ impl<D: Driver> Serve<D> {
             };
             let stood_still = lap.stood_still();
             match turn {
+                turn if !turn.counts(stood_still) => {}
                 Turn::Order(order) => lap.take(order),
                 Turn::Executed(result) => lap.executed(result),
                 Turn::Late(answered) => lap.late(answered),
-                // It was asked before the node was stalled, and means nothing for now.
-                Turn::Polling(_) if stood_still => {}
                 Turn::Polling(Polling::Greeted(greeting)) => lap.greeted(greeting),
                 Turn::Polling(Polling::Polled(poll)) => {
                     let full = poll.full;
@@ -344,7 +343,7 @@ impl<D: Driver> Loop<D> {
         self.status().can = Some(greeting.description.can.clone());
         self.description = Some(greeting.description);
         self.reading_again = ReadingAgain::of(greeting.abilities);
-        (self.failures, self.silent_polls, self.knocking) = (0, 0, None);
+        (self.failures, self.silent_polls, self.knocking) = (0, SilentPolls::default(), None);
         let now = Instant::now();
         (self.next_turn, self.next_full, self.next_description) = (now, now, now);
         self.observe_now();
@@ -364,13 +363,13 @@ impl<D: Driver> Loop<D> {
         let splits = self.splits();
         self.pace(&poll);
         self.note_silence(&poll);
-        self.keep(poll.answers);
         // The rest of a device may hang by itself: what decides shows whether there is a link. Of a device with properties
         // that decide, one that hangs ends the poll, and then several in a row show it.
-        let is_silent = poll.lost.as_ref().is_some_and(AlpacaError::is_transport);
-        self.silent_polls = if is_silent { self.silent_polls + 1 } else { 0 };
+        let deciding = self.deciding();
+        let is_gone = self.silent_polls.take(&poll, &deciding);
+        self.keep(poll.answers);
         let is_timeout = poll.lost.as_ref().is_some_and(AlpacaError::is_timeout);
-        let shows = !splits || self.silent_polls >= LOST_AFTER || (poll.full && !is_timeout);
+        let shows = !splits || is_gone || (poll.full && !is_timeout);
         let lost = poll.lost.filter(|error| shows || !error.is_transport());
         if let Some(error) = lost.or(denied) {
             return self.lose(&error);

@@ -140,17 +140,26 @@ fn start_missing(nodes: &mut Vec<RunningNode>, options: &NodeOptions, ids: &[(St
 /// Runs one node and starts it again, also after a start that failed; true where it ended in good order after it was asked
 /// to.
 async fn keep(options: &NodeOptions, id: &str, stop: Stop) -> bool {
+    run_again(id, &stop, || run_once(options, id, &stop), tokio::time::sleep).await
+}
+
+async fn run_again<R: Future<Output = Result<bool, String>>, P: Future<Output = ()>>(
+    id: &str,
+    stop: &Stop,
+    run: impl Fn() -> R,
+    sleep: impl Fn(Duration) -> P,
+) -> bool {
     let mut pauses = Pauses::default();
     loop {
         let started = Instant::now();
-        let status = match run_once(options, id, &stop).await {
+        let status = match run().await {
             Ok(in_good_order) => return in_good_order,
             Err(status) => status,
         };
         let pause = pauses.after(started.elapsed(), LONGEST_PAUSE);
         let next = restart::words(pause);
         lines::complain(format_args!("node-device: the device node {id} ended ({status}); next start {next}"));
-        if stop.or(tokio::time::sleep(pause)).await.is_none() {
+        if stop.or(sleep(pause)).await.is_none() {
             return true;
         }
     }
@@ -186,4 +195,26 @@ fn spawn(options: &NodeOptions, id: &str, watchdog: Option<&Watchdog>) -> anyhow
         None => command.env_remove(watchdog::SOCKET),
     };
     command.kill_on_drop(options.with_parent).spawn().context("cannot start this program again")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_device_node_that_ends_at_once_is_started_again_after_pauses_that_grow_to_five_seconds() {
+        let (stop, paused_s) = (Stop::default(), RefCell::new(Vec::new()));
+        let run = || std::future::ready(Err("exit status: 1".to_owned()));
+        let pause = |pause: Duration| {
+            paused_s.borrow_mut().push(pause.as_secs());
+            if paused_s.borrow().len() == 5 {
+                stop.stop();
+            }
+            std::future::ready(())
+        };
+        assert!(run_again("enclosure", &stop, run, pause).await, "it was asked to end");
+        assert_eq!(*paused_s.borrow(), [1, 2, 4, 5, 5]);
+    }
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use alpaca::{Image, RawImage};
+use alpaca::{AlpacaError, Image};
 use bus::MachineTime;
 use contract::device::camera::{Frame, Purpose};
 use contract::{Chunk, CommandId, Datum, Name, NoData, Reading, Role};
@@ -30,7 +30,7 @@ pub enum SpoolError {
         /// Which camera.
         camera: Name,
         /// What is wrong with the answer.
-        source: alpaca::AlpacaError,
+        source: AlpacaError,
     },
     /// The disk refused.
     #[error("cannot write {path}: {source}")]
@@ -177,10 +177,15 @@ impl Spool {
     }
 
     /// Decodes a frame and writes it to the disk, off the async threads, then sends a message to the receiver.
-    pub async fn keep(self: Arc<Self>, place: Place, raw: RawImage, max_adu: Option<f64>, about: About) {
+    pub async fn keep(
+        self: Arc<Self>,
+        place: Place,
+        decode: impl FnOnce() -> Result<Image, AlpacaError> + Send + 'static,
+        about: About,
+    ) {
         let (id, camera, spool) = (about.id.clone(), about.camera.clone(), self.clone());
         let work = tokio::task::spawn_blocking(move || {
-            let image = raw.into_image(max_adu).map_err(|source| SpoolError::Image { camera, source })?;
+            let image = decode().map_err(|source| SpoolError::Image { camera, source })?;
             spool.store(&image, about)
         });
         let outcome = match work.await {

@@ -1,73 +1,21 @@
 //! The journal: what was begun and what was finished, on disk before it is done, so that a restart goes on from there.
 
+mod lines;
+
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::{File, OpenOptions};
-use std::io::{self, Write as _};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use contract::CommandId;
 use contract::observatory::RowStatus;
 use schedule::RowId;
-use serde::{Deserialize, Serialize};
 use units::Utc;
 
+use self::lines::{JournalLine, append, known, read, rewrite};
 use crate::persisted::named;
-
-/// One line of the file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "is", rename_all = "snake_case")]
-enum JournalLine {
-    /// A frame may have been started under this id.
-    Intended { at_utc: Utc, row: RowId, frame: CommandId, sequence: u32 },
-    /// A frame in addition to the row's own may have been started under this id, such as one that shows where the
-    /// telescope looks; it never counts.
-    Aside { at_utc: Utc, row: RowId, frame: CommandId, sequence: u32 },
-    /// A frame was taken of another place than the row's target, so far from it; it does not count.
-    Astray { at_utc: Utc, row: RowId, frame: CommandId, off_target_arcmin: f64 },
-    /// The frame was exposed.
-    Taken { at_utc: Utc, row: RowId, frame: CommandId },
-    /// The dome hid so much of a frame's light; too much for it to count, or not.
-    Hidden { at_utc: Utc, row: RowId, frame: CommandId, lost_percent: f64, counts: bool },
-    /// A flat was judged by its level: does it count, and of which filter is it?
-    Judged {
-        at_utc: Utc,
-        row: RowId,
-        frame: CommandId,
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        filter: Option<String>,
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        level_adu: Option<f64>,
-        counts: bool,
-    },
-    /// A row ended.
-    Ended { at_utc: Utc, row: RowId, status: RowStatus, detail: String },
-    /// Somebody has a row run again: `anew`, so that no frame of before counts, or from where it stopped.
-    Again { at_utc: Utc, row: RowId, anew: bool },
-    /// Somebody turned the robotic switch.
-    Robotic { at_utc: Utc, on: bool },
-}
-
-impl JournalLine {
-    fn at(&self) -> Utc {
-        match self {
-            Self::Intended { at_utc, .. }
-            | Self::Aside { at_utc, .. }
-            | Self::Astray { at_utc, .. }
-            | Self::Taken { at_utc, .. }
-            | Self::Hidden { at_utc, .. }
-            | Self::Judged { at_utc, .. }
-            | Self::Ended { at_utc, .. }
-            | Self::Again { at_utc, .. }
-            | Self::Robotic { at_utc, .. } => *at_utc,
-        }
-    }
-
-    fn is_switch(&self) -> bool {
-        matches!(self, Self::Robotic { .. })
-    }
-}
 
 /// A line that counts already and is not on disk yet.
 #[derive(Debug)]
@@ -127,12 +75,15 @@ struct Records {
 }
 
 /// The journal of one telescope. Nodes that stand by for one another may share its file: only the one that commands
-/// writes it anew, and from then on what its predecessor still writes goes nowhere.
+/// writes it anew, and from then on what its predecessor still writes goes nowhere. A line that supersedes another one
+/// stands after it, so that a restart comes to the same end.
 #[derive(Debug)]
 pub struct Journal {
     path: PathBuf,
-    /// Open for the one that commands.
+    /// Open for the one that commands. Locked before `records`.
     file: Mutex<Option<File>>,
+    /// Held while the switch is being written.
+    pen: Arc<tokio::sync::Mutex<()>>,
     /// The disk may have taken half of the newest line, which the next one must not go on.
     is_cut: AtomicBool,
     records: Mutex<Records>,
@@ -153,13 +104,13 @@ impl Journal {
             std::fs::create_dir_all(folder)?;
         }
         let records = Records::of(&read(path)?.0);
-        let (file, is_cut) = Default::default();
-        Ok(Self { path: path.to_owned(), file, is_cut, records: Mutex::new(records) })
+        let (file, pen, is_cut) = Default::default();
+        Ok(Self { path: path.to_owned(), file, pen, is_cut, records: Mutex::new(records) })
     }
 
     /// Learns what another node wrote meanwhile, drops what is old, and makes the file this node's own.
     pub fn take_over(&self) -> io::Result<()> {
-        self.read_anew(&mut self.file.lock().unwrap_or_else(PoisonError::into_inner))
+        self.read_anew(&mut self.file())
     }
 
     /// While the file is locked, no line reaches the disk; the memory has the waiting lines all the same.
@@ -178,8 +129,11 @@ impl Journal {
         rewrite(&self.path, &lines)?;
         *file = Some(OpenOptions::new().append(true).open(&self.path)?);
         let mut records = self.records();
-        let on_the_way = std::mem::take(&mut records.on_the_way);
+        let mut on_the_way = std::mem::take(&mut records.on_the_way);
         *records = Records::of(&lines);
+        // Somebody turned the switch at the node that commanded meanwhile, and that was the last word.
+        let turned = records.robotic.map(|(at, _)| at);
+        on_the_way.retain(|line| !line.is_switch() || turned.is_none_or(|turned| line.at() > turned));
         on_the_way.iter().filter(|line| !lines.contains(line)).for_each(|line| records.learn(line));
         records.on_the_way = on_the_way;
         Ok(())
@@ -229,6 +183,7 @@ impl Journal {
     /// A frame shows another place than the row's target: it does not count, whichever node reports that it was
     /// exposed.
     pub fn astray(&self, row: &RowId, frame: &CommandId, off_target_arcmin: f64, at_utc: Utc) -> io::Result<()> {
+        let off_target_arcmin = known(off_target_arcmin);
         self.write(JournalLine::Astray { at_utc, row: row.clone(), frame: frame.clone(), off_target_arcmin })
     }
 
@@ -266,6 +221,7 @@ impl Journal {
         counts: bool,
         at_utc: Utc,
     ) -> io::Result<()> {
+        let lost_percent = known(lost_percent);
         self.write(JournalLine::Hidden { at_utc, row: row.clone(), frame: frame.clone(), lost_percent, counts })
     }
 
@@ -279,6 +235,7 @@ impl Journal {
         counts: bool,
         at_utc: Utc,
     ) -> io::Result<()> {
+        let level_adu = level_adu.map(known);
         self.write(JournalLine::Judged { at_utc, row: row.clone(), frame: frame.clone(), filter, level_adu, counts })
     }
 
@@ -322,23 +279,53 @@ impl Journal {
     /// The disk does not take it; the error names the file.
     pub fn write_switch(&self) -> io::Result<()> {
         let unwritten = || self.records().on_the_way.iter().find(|line| line.is_switch()).cloned();
+        if unwritten().is_none() {
+            return Ok(());
+        }
+        // Looked for again once the file is locked: it may have been turned on while another line was written.
+        let mut file = self.file();
         while let Some(line) = unwritten() {
-            self.put_down(&line).map_err(|error| named(&self.path, &error))?;
+            self.put_down(&mut file, &line).map_err(|error| named(&self.path, &error))?;
             self.records().on_the_way.retain(|sent| *sent != line);
         }
         Ok(())
     }
 
-    /// The robotic switch is turned on: that counts only once it is on disk.
-    pub fn robotic_on(&self, at_utc: Utc) -> io::Result<()> {
-        self.learn_when_written(JournalLine::Robotic { at_utc, on: true })?;
-        self.records().on_the_way.retain(|sent| !sent.is_switch());
-        Ok(())
+    /// As [`Journal::write_switch`], on a thread that may wait for the disk. While it does, whoever comes waits without
+    /// one.
+    ///
+    /// # Errors
+    ///
+    /// The disk does not take it; the error names the file.
+    pub async fn write_switch_in_turn(self: &Arc<Self>) -> io::Result<()> {
+        let (pen, journal) = (self.pen.clone().lock_owned().await, self.clone());
+        let writing = tokio::task::spawn_blocking(move || {
+            let _pen = pen;
+            journal.write_switch()
+        });
+        writing.await.map_err(io::Error::other)?
     }
 
+    /// The robotic switch is turned on: that counts only once it is on disk.
+    pub fn robotic_on(&self, at_utc: Utc) -> io::Result<()> {
+        self.learn_when_written(JournalLine::Robotic { at_utc, on: true })
+    }
+
+    /// Writes what counts already and waits for the disk, and then this line: the other way round, the next start would
+    /// take this one for undone.
     fn learn_when_written(&self, line: JournalLine) -> io::Result<()> {
-        self.put_down(&line)?;
-        self.records().learn(&line);
+        let mut file = self.file();
+        let waiting = || self.records().on_the_way.first().cloned();
+        while let Some(before) = waiting() {
+            self.put_down(&mut file, &before)?;
+            self.records().arrived(&before);
+        }
+        self.put_down(&mut file, &line)?;
+        let mut records = self.records();
+        records.learn(&line);
+        if line.is_switch() {
+            records.on_the_way.retain(|sent| !sent.is_switch());
+        }
         Ok(())
     }
 
@@ -352,7 +339,23 @@ impl Journal {
         Ok(Records::of(&read(path)?.0).robotic)
     }
 
-    fn records(&self) -> std::sync::MutexGuard<'_, Records> {
+    /// Is a write of the switch under way until it is dropped.
+    #[cfg(test)]
+    pub async fn hold_pen(&self) -> tokio::sync::OwnedMutexGuard<()> {
+        self.pen.clone().lock_owned().await
+    }
+
+    /// While it is held, the disk takes no line.
+    #[cfg(test)]
+    pub fn hang(&self) -> MutexGuard<'_, Option<File>> {
+        self.file()
+    }
+
+    fn file(&self) -> MutexGuard<'_, Option<File>> {
+        self.file.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn records(&self) -> MutexGuard<'_, Records> {
         self.records.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -367,48 +370,27 @@ impl Journal {
 
     /// Puts a line on disk that was sent there.
     pub fn arrive(&self, Sent(line): Sent) -> io::Result<()> {
-        let there = self.put_down(&line);
-        let mut records = self.records();
-        if let Some(place) = records.on_the_way.iter().position(|sent| *sent == line) {
-            records.on_the_way.remove(place);
+        let mut file = self.file();
+        if !self.records().on_the_way.contains(&line) {
+            // It went before a line that was written meanwhile.
+            return Ok(());
         }
+        let there = self.put_down(&mut file, &line);
+        self.records().arrived(&line);
         there
     }
 
-    fn put_down(&self, line: &JournalLine) -> io::Result<()> {
-        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+    fn put_down(&self, file: &mut Option<File>, line: &JournalLine) -> io::Result<()> {
         // After a new line where the last one may be half of what a crash or a full disk left.
         let begin = if file.is_none() || self.is_cut.load(Ordering::SeqCst) { "\n" } else { "" };
         let text = format!("{begin}{}\n", serde_json::to_string(line)?);
-        let there = match &mut *file {
+        let there = match file {
             Some(file) => append(file, &text),
             None => append(&mut OpenOptions::new().append(true).create(true).open(&self.path)?, &text),
         };
         self.is_cut.store(there.is_err(), Ordering::SeqCst);
         there
     }
-}
-
-fn append(file: &mut File, text: &str) -> io::Result<()> {
-    file.write_all(text.as_bytes())?;
-    file.sync_data()
-}
-
-/// All lines that can be read, and what is wrong with others.
-fn read(path: &Path) -> io::Result<(Vec<JournalLine>, Option<String>)> {
-    let text = match std::fs::read(path) {
-        Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
-        Err(error) => return Err(error),
-    };
-    let (mut lines, mut damage): (Vec<JournalLine>, Option<String>) = (Vec::new(), None);
-    for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-        match serde_json::from_str(line) {
-            Ok(line) => lines.push(line),
-            Err(error) => damage = damage.or_else(|| Some(format!("line {} cannot be read: {error}", number + 1))),
-        }
-    }
-    Ok((lines, damage))
 }
 
 impl Records {
@@ -423,6 +405,13 @@ impl Records {
         self.learn(&line);
         self.on_the_way.push(line.clone());
         Sent(line)
+    }
+
+    /// A line waits for the disk no more.
+    fn arrived(&mut self, line: &JournalLine) {
+        if let Some(place) = self.on_the_way.iter().position(|sent| sent == line) {
+            self.on_the_way.remove(place);
+        }
     }
 
     fn learn(&mut self, line: &JournalLine) {
@@ -476,20 +465,6 @@ impl Records {
             JournalLine::Robotic { at_utc, on } => self.robotic = Some((*at_utc, *on)),
         }
     }
-}
-
-/// Writes a whole new file next to the old one and renames it into its place.
-fn rewrite(path: &Path, lines: &[JournalLine]) -> io::Result<()> {
-    let mut new: PathBuf = path.to_owned();
-    new.set_extension("jsonl.new");
-    let mut file = File::create(&new)?;
-    for line in lines {
-        serde_json::to_writer(&mut file, line)?;
-        file.write_all(b"\n")?;
-    }
-    file.sync_all()?;
-    drop(file);
-    std::fs::rename(&new, path)
 }
 
 #[cfg(test)]

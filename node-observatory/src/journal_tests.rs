@@ -84,7 +84,7 @@ fn a_frame_in_addition_to_the_rows_own_and_one_of_another_place_never_count() {
     assert!(!journal.taken(&aside.frame, at(NOW)).unwrap());
     assert!(journal.taken(&first.frame, at(NOW)).unwrap());
     assert_eq!(journal.progress(&row).taken, 1);
-    journal.astray(&row, &first.frame, 7.5, at(NOW)).unwrap();
+    journal.astray(&row, &first.frame, f64::NAN, at(NOW)).unwrap();
     let expected = Progress { taken: 0, open: vec![], ended: None };
     assert_eq!(journal.progress(&row), expected);
     assert!(!journal.taken(&first.frame, at(NOW)).unwrap(), "announced once more");
@@ -157,6 +157,90 @@ fn the_robotic_switch_is_on_once_that_is_on_disk_and_off_at_once() {
     journal.robotic_on(at(NOW)).unwrap();
     journal.write_switch().unwrap();
     assert_eq!((journal.last_robotic(), on_disk()), (Some((at(NOW), true)), Some((at(NOW), true))));
+}
+
+#[test]
+fn an_off_that_is_tried_again_is_not_written_after_a_later_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("j.jsonl");
+    let journal = own(&path);
+    for _ in 0..50 {
+        journal.robotic_off(at(NOW));
+        std::thread::scope(|scope| {
+            let slow = journal.hang();
+            scope.spawn(|| journal.robotic_on(at(NOW)).unwrap());
+            scope.spawn(|| journal.write_switch().unwrap());
+            // Time for both to come.
+            (0..1000).for_each(|_| std::thread::yield_now());
+            drop(slow);
+        });
+        let turned = Some((at(NOW), true));
+        assert_eq!((journal.last_robotic(), Journal::last_robotic_in(&path).unwrap()), (turned, turned));
+    }
+    assert!(journal.records().on_the_way.is_empty());
+}
+
+#[test]
+fn an_off_that_waits_for_the_disk_is_over_where_another_node_was_turned_on_since() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("j.jsonl");
+    let (waiting, other) = (own(&path), own(&path));
+    let later = |s: f64| Utc::from_seconds(at(NOW).seconds() + s);
+    waiting.robotic_off(later(0.0));
+    other.robotic_on(later(1.0)).unwrap();
+    waiting.take_over().unwrap();
+    assert_eq!(waiting.last_robotic(), Some((later(1.0), true)));
+    waiting.write_switch().unwrap();
+    assert_eq!(Journal::last_robotic_in(&path).unwrap(), Some((later(1.0), true)));
+    // One that was ordered since then is the last word.
+    waiting.robotic_off(later(2.0));
+    waiting.take_over().unwrap();
+    waiting.write_switch().unwrap();
+    assert_eq!(Journal::last_robotic_in(&path).unwrap(), Some((later(2.0), false)));
+}
+
+#[test]
+fn an_end_that_waits_for_the_disk_is_not_written_after_the_order_that_has_the_row_run_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("j.jsonl");
+    let row = RowId("a".to_owned());
+    let journal = own(&path);
+    let ended = journal.end(&row, RowStatus::Failed, "why", at(NOW));
+    journal.again(&row, false, at(NOW)).unwrap();
+    journal.arrive(ended).unwrap();
+    assert_eq!(journal.progress(&row).ended, None);
+    assert_eq!(std::fs::read_to_string(&path).unwrap().matches("\"ended\"").count(), 1);
+    drop(journal);
+    assert_eq!(own(&path).progress(&row).ended, None, "nor after a restart");
+}
+
+#[test]
+fn those_who_wait_for_a_disk_that_hangs_hold_one_thread_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("j.jsonl");
+    let journal = Arc::new(own(&path));
+    journal.robotic_off(at(NOW));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().max_blocking_threads(2).build().unwrap();
+    let hangs = journal.hang();
+    let writing: Vec<_> = runtime.block_on(async {
+        let write = || {
+            let journal = journal.clone();
+            tokio::spawn(async move { journal.write_switch_in_turn().await })
+        };
+        let writing = (0..4).map(|_| write()).collect();
+        tokio::task::yield_now().await;
+        // The second thread is left for others.
+        let other = tokio::time::timeout(test_support::LIMIT, tokio::task::spawn_blocking(|| {}));
+        other.await.unwrap().unwrap();
+        writing
+    });
+    drop(hangs);
+    runtime.block_on(async {
+        for written in writing {
+            written.await.unwrap().unwrap();
+        }
+    });
+    assert_eq!(Journal::last_robotic_in(&path).unwrap(), Some((at(NOW), false)));
 }
 
 #[test]

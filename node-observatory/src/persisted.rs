@@ -28,11 +28,16 @@ const HANGS: Duration = Duration::from_secs(10);
 
 /// Waits for a disk, and complains meanwhile where it does not answer within [`HANGS`].
 pub async fn answer_of_disk<T>(writing: impl Future<Output = T>, complain: impl FnOnce(&str)) -> T {
+    answer_within(HANGS, writing, complain).await
+}
+
+/// As [`answer_of_disk`], for another time.
+pub async fn answer_within<T>(within: Duration, writing: impl Future<Output = T>, complain: impl FnOnce(&str)) -> T {
     let mut writing = pin!(writing);
-    match tokio::time::timeout(HANGS, writing.as_mut()).await {
+    match tokio::time::timeout(within, writing.as_mut()).await {
         Ok(answer) => answer,
         Err(_) => {
-            complain(&format!("no answer of the disk within {} s", HANGS.as_secs()));
+            complain(&format!("no answer of the disk within {} s", within.as_secs()));
             writing.await
         }
     }

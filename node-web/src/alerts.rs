@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use bus::MachineTime;
-use contract::node::fallen_silent;
+use contract::node::{NodeState, fallen_silent, silent_instance};
 use contract::observatory::{Alert, AlertKind, Alerts, Priority, Standing};
-use contract::{Key, Name, NodeTopic, Part};
+use contract::{Key, Name, NodeTopic, Part, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 use serde_json::Value;
@@ -55,22 +55,30 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
     for alert in list.map(published).unwrap_or_default() {
         found.entry(alert.id.clone()).or_insert(alert);
     }
-    let others_know = list.is_some_and(|list| list.quality(now) == Quality::Fresh);
     for LastWord { mut alert, silent } in last_words(telescope, now) {
         // The observatory node merges the alerts of the other nodes: the same alert may come twice.
-        if found.values().any(|a| a.cause == alert.cause && a.raised_utc == alert.raised_utc) {
-            continue;
-        }
+        let is_same = |known: &Alert| {
+            known.id == alert.id || (known.cause == alert.cause && known.raised_utc == alert.raised_utc)
+        };
+        let known = found.values().find(|known| is_same(known)).map(|known| (known.id.clone(), known.standing()));
         if let Some(silent) = silent {
-            // It also merges those of the nodes that are silent, until a person has acknowledged them.
-            if others_know {
+            // It also merges those of the nodes that are silent, until a person has acknowledged them: if it has received them.
+            if list.is_some_and(|list| has_heard(telescope, list, silent.arrived, now)) {
                 continue;
+            }
+            match known {
+                // One that began later takes what no node publishes to it for gone.
+                Some((id, Standing::Gone)) => drop(found.remove(&id)),
+                Some(_) => continue,
+                None => {}
             }
             // What happened after all was closed, and before that node fell silent, stands.
             if closed_utc.is_some_and(|closed| alert.raised_utc < closed) {
                 alert.returned_utc = alert.returned_utc.or(Some(silent.since));
             }
             alert.cause += &silent.words;
+        } else if known.is_some() {
+            continue;
         }
         found.entry(alert.id.clone()).or_insert(alert);
     }
@@ -80,7 +88,7 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
         if entry.quality(now) == Quality::Lost && !has_ended_well(entry) {
             let host = entry.body.get("host").and_then(Value::as_str).unwrap_or_default();
             let cause = fallen_silent(&format!("the {role} node {id}"), host);
-            let alert = AlertKind::NodeSilent.alert(format_args!("{role}/{id}"), entry.at_utc, &cause);
+            let alert = AlertKind::NodeSilent.alert(silent_instance(*role, id.as_str()), entry.at_utc, &cause);
             if found.get(&alert.id).is_none_or(|known| known.standing() == Standing::Gone) {
                 found.insert(alert.id.clone(), alert);
             }
@@ -90,6 +98,20 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
         found.entry(alert.id.clone()).or_insert(alert);
     }
     sorted(found.into_values())
+}
+
+/// Does the node that publishes the observatory node's list go on, and has it received what a node published that is silent
+/// since `last`?
+fn has_heard(telescope: &Telescope, list: &Entry, last: MachineTime, now: MachineTime) -> bool {
+    let is_its_own = |state: &&Entry| {
+        matches!(state.key, Key::Node(_, Role::Observatory, _, NodeTopic::State)) && state.is_beside(list)
+    };
+    let state = telescope.states.values().find(is_its_own);
+    let heard = state.and_then(|state| {
+        let its = NodeState::deserialize(state.body.as_ref()).ok()?;
+        Some(its.has_heard(state.age(now), now.since(last)))
+    });
+    list.quality(now) == Quality::Fresh && heard == Some(true)
 }
 
 /// An alert as its node published it last.
@@ -102,6 +124,8 @@ struct LastWord {
 #[derive(Clone)]
 struct Silent {
     since: Utc,
+    /// When its last alerts arrived here.
+    arrived: MachineTime,
     /// What is added to its causes.
     words: String,
 }
@@ -117,6 +141,7 @@ fn last_words(telescope: &Telescope, now: MachineTime) -> impl Iterator<Item = L
         }
         let silent = (entry.quality(now) == Quality::Lost).then(|| Silent {
             since: entry.at_utc,
+            arrived: entry.arrived,
             words: format!("; last known, from the {role} node {id}, silent since {}", entry.at_utc.to_second()),
         });
         let last_word = |alert| LastWord { alert, silent: silent.clone() };
@@ -265,9 +290,21 @@ mod tests {
         );
         assert_eq!(told(stopped(true), &[], 101), None, "it ended in good order");
         assert_eq!(told(stopped(false), &[], 9000), own(last), "it left something open");
-        let merged = [("observatory/alerts/state", 9000, json!({ "alerts": [] }))];
-        assert_eq!(told(json!({}), &merged, 9000), None, "a person has acknowledged it");
-        assert_eq!(told(json!({}), &merged, 9100), own(last), "nobody holds it any more");
+        let merged = |list: &Value, uptime_s: f64| {
+            let (alerts, state) = ("observatory/alerts/state", "node/observatory/main/state");
+            let its = json!({ "role": "observatory", "version": "", "host": "pc", "pid": 1, "uptime_s": uptime_s,
+                "speed": 1.0 });
+            [(alerts, 9000, json!({ "alerts": list })), (state, 9000, its)]
+        };
+        let (empty, mut returned) = (json!([]), alert("dome-not-closed/dome", "critical"));
+        let heard = merged(&empty, 8911.0);
+        assert_eq!(told(json!({}), &heard, 9000), None, "a person has acknowledged it");
+        assert_eq!(told(json!({}), &heard, 9100), own(last), "nobody holds it any more");
+        returned["returned_utc"] = json!("2027-01-15T10:20:00Z");
+        for (list, why) in [(empty, "has never heard it"), (json!([returned]), "takes it for gone")] {
+            let began_later = merged(&list, 8909.0);
+            assert_eq!(told(json!({}), &began_later, 9000), own(last), "the observatory node {why}");
+        }
         let again = [(alerts, 9000, json!({ "alerts": [] }))];
         assert_eq!(told(json!({}), &again, 9000), None, "it was started again");
     }

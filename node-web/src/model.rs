@@ -178,6 +178,11 @@ impl Entry {
         period(&self.key, &self.body)
     }
 
+    /// Was it published by the same incarnation of a node as another one?
+    pub fn is_beside(&self, other: &Self) -> bool {
+        self.succession.incarnation() == other.succession.incarnation()
+    }
+
     /// Its quality now.
     pub fn quality(&self, now: MachineTime) -> Quality {
         Quality::of(self.age(now), self.period())

@@ -21,6 +21,7 @@ mod import;
 mod init;
 mod join;
 mod left;
+mod new_site;
 mod night;
 mod order;
 mod plan;

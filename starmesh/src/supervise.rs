@@ -127,6 +127,15 @@ impl NodeProcess {
     /// grows while it ends again and again or cannot be started. `first`: whether the first start succeeded; why not is printed
     /// before.
     pub async fn keep(&self, stop: Stop, first: oneshot::Sender<bool>) {
+        self.keep_pausing(stop, first, tokio::time::sleep).await;
+    }
+
+    async fn keep_pausing<P: Future<Output = ()>>(
+        &self,
+        stop: Stop,
+        first: oneshot::Sender<bool>,
+        sleep: impl Fn(Duration) -> P,
+    ) {
         let (mut pauses, mut first) = (Pauses::default(), Some(first));
         // Without it a node that ends prints each time why.
         let words = tempfile::NamedTempFile::new().ok().map(tempfile::NamedTempFile::into_temp_path);
@@ -155,7 +164,7 @@ impl NodeProcess {
             }
             printed_before = text;
             tell(&mut first, false);
-            if stop.or(tokio::time::sleep(pause)).await.is_none() {
+            if stop.or(sleep(pause)).await.is_none() {
                 return;
             }
         }
@@ -234,23 +243,47 @@ fn append(log: &Path) -> anyhow::Result<std::fs::File> {
 mod tests {
     use super::*;
 
+    /// It cannot be started as long as its log has no folder. Then it is this test's own program, which does not know these
+    /// arguments and ends.
+    fn logging_to(role: Role, folder: &Path, log: &Path) -> NodeProcess {
+        NodeProcess {
+            role,
+            id: "main".to_owned(),
+            config: folder.join("observatory.toml"),
+            arguments: Vec::new(),
+            log: Some(log.to_owned()),
+            with_parent: true,
+            left: None,
+            reports: None,
+            state: None,
+        }
+    }
+
+    #[tokio::test]
+    async fn a_node_that_ends_at_once_is_started_after_pauses_that_grow_to_the_longest_one_of_its_role() {
+        let folder = tempfile::tempdir().unwrap();
+        for (role, wanted_s) in [(Role::Archive, &[1, 2, 4, 8, 16, 32, 60, 60][..]), (Role::Device, &[1, 2, 4, 5, 5])] {
+            let node = logging_to(role, folder.path(), &folder.path().join("none/node.log"));
+            let (stop, (first, _is_started)) = (Stop::default(), oneshot::channel());
+            let paused_s = std::cell::RefCell::new(Vec::new());
+            let pause = |pause: Duration| {
+                paused_s.borrow_mut().push(pause.as_secs());
+                if paused_s.borrow().len() == wanted_s.len() {
+                    stop.stop();
+                }
+                std::future::ready(())
+            };
+            node.keep_pausing(stop.clone(), first, pause).await;
+            assert_eq!(*paused_s.borrow(), wanted_s, "{role}");
+        }
+    }
+
     #[tokio::test]
     async fn a_node_that_cannot_be_started_is_started_again() {
         let folder = tempfile::tempdir().unwrap();
         let logs = folder.path().join("logs");
         let log = logs.join("archive.log");
-        // Once it can be started, it is this test's own program, which does not know these arguments and ends.
-        let node = NodeProcess {
-            role: Role::Archive,
-            id: "main".to_owned(),
-            config: folder.path().join("observatory.toml"),
-            arguments: Vec::new(),
-            log: Some(log.clone()),
-            with_parent: true,
-            left: None,
-            reports: None,
-            state: None,
-        };
+        let node = logging_to(Role::Archive, folder.path(), &log);
         assert!(node.spawn().is_err(), "its log has no folder");
         let (stop, (first, mut is_started)) = (Stop::default(), oneshot::channel());
         let mut keeping = std::pin::pin!(node.keep(stop.clone(), first));

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
+use contract::device::dome::CloseWithMount;
 use contract::device::observing_conditions;
 use contract::{Address, Kind, Name};
 
@@ -18,6 +19,10 @@ use crate::visibility::{Horizon, HorizonSource};
 /// Action types that may have a file name template of their own.
 const TEMPLATES: [&str; 7] =
     ["object", "calibration", "flats", "autofocus", "calibrate_guiding", "pointing_model", "default"];
+
+/// The longest poll period of a mount under a dome that closes over parked mounts only, s: half of the age at which a
+/// guard no longer takes it for parked (`node-device`).
+const PARK_SEEN_S: f64 = 5.0;
 
 /// Everything; cameras are paired on the way.
 pub(crate) fn prove(observatory: &mut Observatory, findings: &mut Findings<'_>, torn: bool) {
@@ -248,6 +253,7 @@ fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
         for fault in device_faults::mount(mount) {
             findings.block(&path, &shown, &fault);
         }
+        park_is_seen(observatory, mount.common.period_s, &path, &shown, findings);
         let (limits, flip_min) = (&mount.limits, mount.meridian_flip_min);
         if let Some(past_min) = limits.meridian_past_min.filter(|past_min| mount.meridian_flip && *past_min <= flip_min)
         {
@@ -263,6 +269,24 @@ fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
             findings.block(&path, &shown, "disabled needs words: say why");
         }
     }
+}
+
+/// A mount that is read seldom is not known to be parked between two readings, and the roof over it stays open.
+fn park_is_seen(observatory: &Observatory, period_s: f64, path: &str, shown: &str, findings: &mut Findings<'_>) {
+    if period_s <= PARK_SEEN_S {
+        return;
+    }
+    let mut waits = observatory.dome.iter().filter(|dome| dome.close_with_mount == CloseWithMount::ParkedOnly);
+    let roof = match (waits.next(), observatory.shared.dome.first()) {
+        (Some(dome), _) => format!("\"{}\", which closes as parked_only", dome.common.name),
+        (None, Some(dome)) => format!("\"{dome}\", if its file has parked_only"),
+        (None, None) => return,
+    };
+    let fault = format!(
+        "{shown}period_s = {period_s}: expected at most {PARK_SEEN_S} s under dome {roof}: it would stay open while no \
+         newer reading shows that the mount is parked; leave period_s out, which is 1 s"
+    );
+    findings.warning(&format!("{path}.period_s"), fault);
 }
 
 fn limits(observatory: &Observatory, findings: &mut Findings<'_>) {

@@ -114,6 +114,30 @@ fn one_device_under_two_names_of_its_server_is_one_device() {
 }
 
 #[test]
+fn a_mount_under_a_roof_that_closes_over_parked_mounts_only_is_to_be_read_often() {
+    let mount = "limits = { altitude_min_deg = 20 }";
+    let dome = "[[dome]]\nname = \"dome\"\nserver = \"10.0.0.5:11111\"\npermit_valid_s = 10\n";
+    let faults = |period_s: &str, change: &str, to: &str| {
+        let text = GOOD.replace(mount, &format!("{mount}\nperiod_s = {period_s}")).replace(change, to);
+        config::examine(&text, Path::new("/site")).1
+    };
+    let closes =
+        |period_s: &str, how: &str| faults(period_s, "permit_valid_s = 10", &format!("close_with_mount = \"{how}\""));
+    let wrong = closes("10", "parked_only");
+    assert!(wrong.len() == 1 && wrong[0].line == 18 && wrong[0].severity == Severity::Warning, "{wrong:#?}");
+    for words in ["telescope \"mount\": period_s = 10", "at most 5 s", "dome \"dome\"", "leave period_s out"] {
+        assert!(wrong[0].what.contains(words), "{wrong:#?}");
+    }
+    // The file of the shared roof is another one.
+    let doubtful = faults("10", dome, "[shared]\ndome = [\"roof\"]\n");
+    assert!(doubtful.len() == 1 && doubtful[0].severity == Severity::Warning, "{doubtful:#?}");
+    assert!(doubtful[0].line == 18 && doubtful[0].what.contains("dome \"roof\""), "{doubtful:#?}");
+    for fine in [closes("5", "parked_only"), closes("10", "parked_within_s"), closes("10", "alongside")] {
+        assert!(fine.is_empty(), "{fine:#?}");
+    }
+}
+
+#[test]
 fn a_limit_from_the_wrong_side_or_that_closes_nothing_is_warned_of() {
     for (limit, words) in [
         ("parameter = \"SkyTemperature\", lower = -30", "is upper meant?"),

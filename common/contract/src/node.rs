@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
+use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -31,6 +32,9 @@ pub struct NodeState {
     pub stopped: Option<Stopped>,
 }
 
+/// From its start until it receives all that others publish, a node needs so long at most, s.
+const LISTENS_AFTER_S: f64 = 10.0;
+
 /// The end in good order of a node.
 #[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 pub struct Stopped {
@@ -45,6 +49,12 @@ impl NodeState {
     /// Is the silence that follows this state no fault? A node that left something open is to be noticed.
     pub fn ended_well(&self) -> bool {
         self.stopped.as_ref().is_some_and(|stopped| stopped.closed != Some(false))
+    }
+
+    /// Has the node of this state, which arrived `age` ago, received what another node published last that has been silent
+    /// for `silent` since? One that began later cannot know it.
+    pub fn has_heard(&self, age: Duration, silent: Duration) -> bool {
+        self.uptime_s + age.as_secs_f64() > silent.as_secs_f64() + LISTENS_AFTER_S
     }
 }
 
@@ -64,6 +74,11 @@ impl Display for Stopped {
 pub fn fallen_silent(node: &str, host: &str) -> String {
     let host = if host.is_empty() { String::new() } else { format!(" on host \"{}\"", printable(host)) };
     format!("{node}{host} has fallen silent")
+}
+
+/// The instance of that alert for a node of the own telescope, the same from whoever notices it: one silent node is one alert.
+pub fn silent_instance(role: Role, id: &str) -> String {
+    format!("{role}/{id}")
 }
 
 /// Figures of a device node end so: by how much the clock of the mount of that name is ahead of the node's, s.

@@ -93,10 +93,10 @@ enum Expected {
     Unknown,
     /// Opening was commanded.
     Open { since: MachineTime },
-    /// Closing was commanded.
-    Closing,
-    /// The commander has taken over from a closing of this guard: an opening of before it may yet begin.
-    Resumed,
+    /// Closing was commanded: an opening of before may yet begin, until the proof or the end of the shutter's time.
+    Closing { since: MachineTime },
+    /// The commander has taken over from a closing of this guard: the same holds.
+    Resumed { since: MachineTime },
     /// Was seen closed.
     Closed,
 }
@@ -288,7 +288,7 @@ impl Guard {
 
     /// Somebody commanded closing.
     pub fn close_commanded(&mut self, now: MachineTime) {
-        self.expected = Expected::Closing;
+        self.expected = Expected::Closing { since: now };
         if let Some(closing) = &mut self.closing {
             closing.commanded = true;
         } else if self.closes_by_itself() {
@@ -318,7 +318,7 @@ impl Guard {
         }
         self.hold = false;
         if self.closing.take().is_some() {
-            self.expected = Expected::Resumed;
+            self.expected = Expected::Resumed { since: now };
         }
         Ok(())
     }
@@ -333,7 +333,8 @@ impl Guard {
         let closed = seen.is_some() && self.is_closed(now);
         let uncommanded = self.compare(now, shutter);
         if self.closing.is_none() && !closed && (uncommanded || self.must_close(now)) {
-            let commanded = self.expected == Expected::Closing;
+            // A command that moved nothing in the shutter's time is not the cause of a closing that begins after it.
+            let commanded = matches!(self.expected, Expected::Closing { since } if self.is_within_travel(since, now));
             self.closing = Some(ClosingRequests::begun(now, commanded));
         }
         let mut steps = Vec::new();
@@ -378,8 +379,11 @@ impl Guard {
             Some(Shutter::Closed) => {
                 // Right after a command to open a dome may still report closed, also if it was told to close since.
                 let may_open = match self.expected {
-                    Expected::Open { since } => now.since(since) < self.settings.travel,
-                    Expected::Closing | Expected::Resumed => !self.evidence.is_credible(now, FRESH),
+                    Expected::Open { since } => self.is_within_travel(since, now),
+                    // Not for ever, where nothing is ever proven, as after a request that the dome refused.
+                    Expected::Closing { since } | Expected::Resumed { since } => {
+                        self.is_within_travel(since, now) && !self.evidence.is_credible(now, FRESH)
+                    }
                     Expected::Unknown | Expected::Closed => false,
                 };
                 if !may_open {
@@ -389,6 +393,11 @@ impl Guard {
             }
             None => false,
         }
+    }
+
+    /// What was commanded then may yet begin.
+    fn is_within_travel(&self, since: MachineTime, now: MachineTime) -> bool {
+        now.since(since) < self.settings.travel
     }
 
     fn must_close(&self, now: MachineTime) -> bool {

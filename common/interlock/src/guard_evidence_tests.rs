@@ -122,6 +122,58 @@ fn an_opening_that_begins_after_the_commander_took_over_from_the_guards_closing_
 }
 
 #[test]
+fn an_opening_long_after_a_command_to_close_that_the_dome_refused_was_not_commanded() {
+    let safe_at = |guard: &mut Guard, second: u32| {
+        let number = guard.beat(at(f64::from(second)));
+        guard.observe(&telescope("alpha"), &safe(900 + u64::from(second), number)).unwrap();
+    };
+    for resumes in [false, true] {
+        let mut guard = opened(Shutter::Closed);
+        if resumes {
+            unsafe_at(&mut guard, 3.0);
+            assert!(closes(&guard.look(at(3.0), Some((Shutter::Closed, at(3.0))), true)));
+        } else {
+            guard.close_commanded(at(3.0));
+            guard.close_sent(at(3.0));
+        }
+        guard.close_answered(false, at(3.0));
+        for second in 4..=94 {
+            safe_at(&mut guard, second);
+            if resumes && second == 4 {
+                guard.resume(at(4.0)).unwrap();
+            }
+            // The shutter's time is 90 s: until then it may be the opening of before.
+            if second == 60 {
+                assert!(!closes(&guard.clone().sees(at(60.0), Some(Shutter::Opening), true)), "{resumes}");
+            }
+            assert!(!closes(&guard.sees(at(f64::from(second)), Some(Shutter::Closed), true)), "{resumes}, {second}");
+        }
+        safe_at(&mut guard, 95);
+        let steps = guard.sees(at(95.0), Some(Shutter::Opening), true);
+        assert!(closes(&steps) && steps.contains(&GuardStep::Raise(Alarm::Uncommanded)), "{resumes}: {steps:?}");
+    }
+}
+
+#[test]
+fn a_closing_of_the_guard_long_after_a_command_that_moved_nothing_is_a_hold() {
+    for (waits_s, holds) in [(10_u32, false), (100, true)] {
+        let mut guard = opened(Shutter::Open);
+        guard.close_commanded(at(3.0));
+        for second in 3..=waits_s {
+            let number = guard.beat(at(f64::from(second)));
+            guard.observe(&telescope("alpha"), &safe(900 + u64::from(second), number)).unwrap();
+            assert!(!closes(&guard.sees(at(f64::from(second)), Some(Shutter::Open), true)), "{second}");
+        }
+        let lost = f64::from(waits_s) + 1.0;
+        unsafe_at(&mut guard, lost);
+        assert!(closes(&guard.sees(at(lost), Some(Shutter::Open), true)));
+        guard.sees(at(lost + 1.0), Some(Shutter::Closing), true);
+        guard.sees(at(lost + 20.0), Some(Shutter::Closed), true);
+        assert_eq!(guard.published(0, at(lost + 20.0), 0).hold, holds, "{waits_s}");
+    }
+}
+
+#[test]
 fn what_was_read_before_the_request_proves_nothing() {
     let mut guard = opened(Shutter::Open);
     unsafe_at(&mut guard, 3.0);

@@ -133,6 +133,11 @@ impl Succession {
         true
     }
 
+    /// The incarnation of the newest payload; `None` before the first.
+    pub fn incarnation(&self) -> Option<&BootId> {
+        self.newest.as_ref().map(|(boot_id, ..)| boot_id)
+    }
+
     /// Two incarnations that publish at the same time: each has published something new after the other began, and both
     /// within the last 16 s. A restart is not such a case: an earlier incarnation publishes nothing new after the next
     /// one has begun. Twice the same incarnation means one that counts at two heights.

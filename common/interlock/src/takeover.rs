@@ -28,10 +28,18 @@ pub fn ordered_switch(ordered: Option<(Utc, bool)>, configured: bool, now: Utc) 
 }
 
 /// The robotic switch of a new commander: as the one before published it last, else `own`. The journal of a commander
-/// on another host is not accessible, but its last state is.
-pub fn switch_after(published: Option<(bool, MachineTime)>, now: MachineTime, own: impl FnOnce() -> bool) -> bool {
+/// on another host is not accessible, but its last state is. An order to turn it off that this node knows, given
+/// `off_ago`, holds if it is newer than that state.
+pub fn switch_after(
+    published: Option<(bool, MachineTime)>,
+    off_ago: Option<Duration>,
+    now: MachineTime,
+    own: impl FnOnce() -> bool,
+) -> bool {
     match published {
-        Some((on, arrived)) if now.since(arrived) <= LAST_STATE => on,
+        Some((on, arrived)) if now.since(arrived) <= LAST_STATE => {
+            on && off_ago.is_none_or(|ago| ago > now.since(arrived))
+        }
         _ => own(),
     }
 }
@@ -48,18 +56,40 @@ mod tests {
     fn the_switch_is_as_the_commander_before_published_it_else_as_ordered_tonight_else_as_configured() {
         let (ordered, tonight) = (Utc::from_seconds(1_000_000.0), Utc::from_seconds(1_050_000.0));
         let tomorrow = Utc::from_seconds(1_090_000.0);
-        // Published and how long ago, ordered, configured, at which time; the switch.
+        // Published and how long ago, ordered, turned off here how long ago, configured, at which time; the switch.
         let scenarios = [
-            ("nothing is known", None, None, true, tonight, true),
-            ("ordered tonight", None, Some(false), true, tonight, false),
-            ("ordered last night", None, Some(false), true, tomorrow, true),
-            ("the commander before", Some((false, 60)), Some(true), true, tonight, false),
-            ("it was silent for too long", Some((false, 61)), Some(true), true, tonight, true),
+            ("nothing is known", None, None, None, true, tonight, true),
+            ("ordered tonight", None, Some(false), None, true, tonight, false),
+            ("ordered last night", None, Some(false), None, true, tomorrow, true),
+            ("the commander before", Some((false, 60)), Some(true), None, true, tonight, false),
+            ("it was silent for too long", Some((false, 61)), Some(true), None, true, tonight, true),
+            (
+                "turned off after the commander before fell silent",
+                Some((true, 9)),
+                Some(false),
+                Some(5000),
+                true,
+                tonight,
+                false,
+            ),
+            (
+                "turned off before it published that it is on",
+                Some((true, 9)),
+                Some(false),
+                Some(9500),
+                true,
+                tonight,
+                true,
+            ),
         ];
-        for (name, published, order, configured, now, expected) in scenarios {
+        for (name, published, order, off_ago_ms, configured, now, expected) in scenarios {
             let published = published.map(|(on, age_s): (bool, u64)| (on, at(1000 - age_s)));
             let own = || ordered_switch(order.map(|on| (ordered, on)), configured, now);
-            assert_eq!(switch_after(published, at(1000), own), expected, "{name}");
+            assert_eq!(
+                switch_after(published, off_ago_ms.map(Duration::from_millis), at(1000), own),
+                expected,
+                "{name}"
+            );
         }
     }
 

@@ -153,7 +153,26 @@ impl StandingAlerts {
 
 #[cfg(test)]
 mod tests {
+    use contract::node::Level;
+    use tracing_subscriber::layer::SubscriberExt as _;
+
     use super::*;
+    use crate::diary::DiaryLayer;
+
+    #[test]
+    fn an_alert_that_needs_nobody_soon_and_the_end_of_one_are_usual_lines_of_the_log() {
+        let (layer, mut lines) = DiaryLayer::new();
+        let alerts = NodeAlerts::new(Clock::machine_clock());
+        tracing::subscriber::with_default(tracing_subscriber::registry().with(layer), || {
+            for kind in [AlertKind::StayClosed, AlertKind::DomeNotClosed] {
+                alerts.raise(kind, "", "c");
+                alerts.raise(kind, "", "another cause");
+                alerts.clear(kind, "");
+            }
+        });
+        let levels: Vec<Level> = std::iter::from_fn(|| lines.try_recv().ok()).map(|line| line.level).collect();
+        assert_eq!(levels, [Level::Info, Level::Info, Level::Warn, Level::Info]);
+    }
 
     #[tokio::test]
     async fn alerts_that_stand_take_their_new_causes_and_all_others_are_gone() {

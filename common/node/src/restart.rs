@@ -36,4 +36,17 @@ mod tests {
         assert_eq!(waited, [1, 2, 4, 5, 0, 1, 0, 0, 1].map(s));
         assert_eq!([words(s(0)), words(s(60))], ["at once", "in 60 s"]);
     }
+
+    #[test]
+    fn the_units_of_systemd_start_a_node_again_soon_and_never_give_up() {
+        for unit in [
+            include_str!("../../../deploy/systemd/starmesh@.service"),
+            include_str!("../../../deploy/systemd/starmesh-device@.service"),
+        ] {
+            let value = |key: &str| unit.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix('='));
+            let pause_ms = value("RestartSec").and_then(|pause| pause.strip_suffix("ms")?.parse::<u64>().ok());
+            assert!(pause_ms.is_some_and(|ms| (100..=1000).contains(&ms)), "{unit}");
+            assert_eq!((value("Restart"), value("StartLimitIntervalSec")), (Some("always"), Some("0")), "{unit}");
+        }
+    }
 }

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use bus::{Catch, MachineTime};
 use config::Observatory;
-use contract::node::{NodeState, fallen_silent};
+use contract::node::{NodeState, fallen_silent, silent_instance};
 use contract::observatory::AlertKind;
 use contract::{Key, NodeTopic, Role, Topic};
 use node::{Looks, Node, NodeAlerts, now_s};
@@ -87,9 +87,9 @@ async fn notice_silence(node: Node, starts_within: Duration, raises: impl Fn() -
 /// itself, and about nodes of other telescopes.
 fn name(key: &Key, own: &Key) -> Option<(String, String)> {
     let (Key::Node(home, watcher, ..), Key::Node(address, role, id, _)) = (own, key) else { return None };
-    // A node that stands in reports the observatory nodes of its telescope as one.
-    let are_one = *role == Role::Observatory && *watcher != Role::Observatory;
-    if key == own || are_one {
+    // A node that stands in knows by the alerts that an observatory node publishes whether one is silent (`stand_in`).
+    let is_followed = *role == Role::Observatory && *watcher != Role::Observatory;
+    if key == own || is_followed {
         return None;
     }
     if address == home {
@@ -105,8 +105,8 @@ fn name(key: &Key, own: &Key) -> Option<(String, String)> {
 }
 
 /// The instance of an alert about a node of the own telescope, and that node in words.
-fn of_telescope(role: Role, id: &str) -> (String, String) {
-    (format!("{role}/{id}"), format!("the {role} node {id}"))
+pub(crate) fn of_telescope(role: Role, id: &str) -> (String, String) {
+    (silent_instance(role, id), format!("the {role} node {id}"))
 }
 
 /// The nodes of the own telescope that ought to run: those that its file names, and that `starmesh up` starts beside this

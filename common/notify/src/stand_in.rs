@@ -5,16 +5,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{Catch, MachineTime};
-use contract::node::NodeState;
+use contract::node::{NodeState, fallen_silent};
 use contract::observatory::{AlertKind, Alerts, merge};
-use contract::{Address, Key, Name, NodeTopic, Part, Role, Scalar, Topic};
+use contract::{Address, BootId, Key, Name, NodeTopic, Part, Role, Scalar, Stamped, Topic};
 use node::Node;
 use tokio::sync::watch;
 use units::Utc;
 
 use crate::push::Subscriptions;
 use crate::sending::{keep_pushing, keep_sending};
-use crate::silent_nodes::{LOST, keep_noticing_silence};
+use crate::silent_nodes::{LOST, keep_noticing_silence, of_telescope};
 
 /// Alerts are published every 10 s; a node that is silent for longer than this is away.
 const SILENCE: Duration = Duration::from_secs(60);
@@ -92,21 +92,52 @@ struct Observatories {
     last_away: Option<MachineTime>,
     /// Shared devices have none.
     is_shared: bool,
-    /// Those that have published their state, and whether it was the last one of an end in good order.
-    stopped: BTreeMap<Name, bool>,
+    /// The newest state of each that has published one.
+    seen: BTreeMap<Name, SeenObservatory>,
+}
+
+struct SeenObservatory {
+    boot_id: BootId,
+    state: NodeState,
+    arrived: MachineTime,
 }
 
 impl Observatories {
-    fn take(&mut self, id: Name, state: &NodeState) {
-        if self.stopped.len() < MOST_NODES || self.stopped.contains_key(&id) {
-            self.stopped.insert(id, state.ended_well());
+    fn take(&mut self, id: Name, Stamped { boot_id, body, .. }: &Stamped<NodeState>, arrived: MachineTime) {
+        if self.seen.len() < MOST_NODES || self.seen.contains_key(&id) {
+            self.seen.insert(id, SeenObservatory { boot_id: boot_id.clone(), state: body.clone(), arrived });
         }
+    }
+
+    /// Of those that are to run, the ones that publish no more: the incarnation `last` that published alerts last, and those
+    /// without a state for too long. The first one where that shows none, and where none was ever received, the usual one.
+    fn silent(&self, last: Option<&BootId>, now: MachineTime) -> BTreeMap<String, String> {
+        let runs = || self.seen.iter().filter(|(_, seen)| !seen.state.ended_well());
+        let is_silent = |seen: &SeenObservatory| Some(&seen.boot_id) == last || now.since(seen.arrived) > LOST;
+        let mut silent: Vec<_> = runs().filter(|(_, seen)| is_silent(seen)).collect();
+        if silent.is_empty() {
+            silent.extend(runs().next());
+        }
+        let alert = |id: &str, host: &str| {
+            let (instance, words) = of_telescope(Role::Observatory, id);
+            (instance, fallen_silent(&words, host))
+        };
+        if silent.is_empty() {
+            return [alert(config::MAIN_NODE, "")].into();
+        }
+        silent.into_iter().map(|(id, seen)| alert(id.as_str(), &seen.state.host)).collect()
+    }
+
+    /// Has the incarnation that publishes alerts received what another node published last, which arrived at `last`?
+    fn has_heard(&self, sender: Option<&BootId>, last: MachineTime, now: MachineTime) -> bool {
+        let its = self.seen.values().find(|seen| Some(&seen.boot_id) == sender);
+        its.is_some_and(|seen| seen.state.has_heard(now.since(seen.arrived), now.since(last)))
     }
 
     /// By the arrival of the newest alerts that one of them published.
     fn presence(&self, newest: Option<MachineTime>, now: MachineTime) -> Presence {
         let Some(timeout) = self.timeout else { return Presence::Sends };
-        if self.is_shared || (!self.stopped.is_empty() && self.stopped.values().all(|is_stopped| *is_stopped)) {
+        if self.is_shared || (!self.seen.is_empty() && self.seen.values().all(|seen| seen.state.ended_well())) {
             return Presence::Absent;
         }
         let is_silent = match newest {
@@ -150,10 +181,11 @@ impl LastReports {
     }
 
     /// The alerts that hold. Silence takes nothing back: the shutter that a dead node could not close is still open. Only an end
-    /// in good order does, and an observatory node that sends (`others_know`): what it holds active is in its own list.
-    fn active(&mut self, others_know: bool, now: MachineTime) -> impl Iterator<Item = Alerts> {
-        let is_over = |who: &(Role, Name)| others_know || self.ended_well.contains(who);
-        self.lists.retain(|who, (_, arrived)| now.since(*arrived) <= SILENCE || !is_over(who));
+    /// in good order does, and an observatory node that sends and has received what arrived then (`others_know`): what it holds
+    /// active is in its own list.
+    fn active(&mut self, others_know: impl Fn(MachineTime) -> bool, now: MachineTime) -> impl Iterator<Item = Alerts> {
+        let is_over = |who: &(Role, Name), arrived| self.ended_well.contains(who) || others_know(arrived);
+        self.lists.retain(|who, (_, arrived)| now.since(*arrived) <= SILENCE || !is_over(who, *arrived));
         self.lists.values().map(|(list, _)| list.clone())
     }
 }
@@ -211,34 +243,38 @@ async fn keep_watching(
         began: clock.machine(),
         last_away: None,
         is_shared: address.telescope.as_str() == Address::SHARED,
-        stopped: BTreeMap::new(),
+        seen: BTreeMap::new(),
     };
     let mut own = node.alerts.watch();
-    let instance = format!("{}/{}", Role::Observatory, address.telescope);
+    let mut raised = BTreeMap::new();
     loop {
         let now = clock.machine();
-        let presence = observatories.presence(merged.get().map(|newest| newest.arrived), now);
+        let newest = merged.get();
+        let sender = newest.as_ref().map(|newest| &newest.sample.boot_id);
+        let presence = observatories.presence(newest.as_ref().map(|newest| newest.arrived), now);
         let others_know = observatories.knows_all(presence, now);
         silent.send_replace(presence == Presence::Silent);
         if presence == Presence::Silent {
             if now.since(*silent_since.get_or_insert(now)) >= FIRST_BEGIN {
-                let cause = format!(
-                    "no observatory node of {address} has published for {} s",
-                    timeout.unwrap_or_default().as_secs()
-                );
-                // The time of the silence was its delay.
-                node.alerts.raise_at_once(AlertKind::NodeSilent, &instance, &cause);
+                raised.extend(observatories.silent(sender, now));
+                for (instance, cause) in &raised {
+                    // The time of the silence was its delay.
+                    node.alerts.raise_at_once(AlertKind::NodeSilent, instance, cause);
+                }
                 last_silent = Some(now);
             }
         } else {
             silent_since = None;
         }
         if presence != Presence::Silent && last_silent.is_none_or(|at| now.since(at) >= HOLD) {
-            node.alerts.clear(AlertKind::NodeSilent, &instance);
+            for instance in std::mem::take(&mut raised).into_keys() {
+                node.alerts.clear(AlertKind::NodeSilent, &instance);
+            }
         }
         let lists = std::iter::once(own.borrow_and_update().clone());
-        let active = merge(lists.chain(reports.active(others_know, now)));
-        let last = merged.get().map(|last| last.sample.body);
+        let has_heard = |arrived| others_know && observatories.has_heard(sender, arrived, now);
+        let active = merge(lists.chain(reports.active(has_heard, now)));
+        let last = newest.map(|newest| newest.sample.body);
         let in_its_place = in_its_place(active, last.clone().unwrap_or_default(), clock.utc());
         let others_send = presence == Presence::Sends || elders.are_there(now);
         show(followed, if others_know { last } else { Some(in_its_place.clone()) });
@@ -255,7 +291,7 @@ async fn keep_watching(
                 if let Key::Node(_, role, id, NodeTopic::State) = state.key {
                     let body = &state.sample.body;
                     if role == Role::Observatory {
-                        observatories.take(id.clone(), body);
+                        observatories.take(id.clone(), &state.sample, state.arrived);
                     }
                     reports.observe((role, id.clone()), body);
                     elders.observe(node, (role, id), body, state.arrived);
@@ -305,23 +341,69 @@ mod tests {
         NodeState {
             role: Role::Observatory,
             version: String::new(),
-            host: String::new(),
+            host: "pc".to_owned(),
             pid: 1,
-            uptime_s: 1.0,
+            uptime_s: 50.0,
             speed: 1.0,
             figures: BTreeMap::new(),
             stopped: stopped.map(|closed| Stopped { by: String::new(), closed: Some(closed) }),
         }
     }
 
+    fn stamped(boot_id: &str, stopped: Option<bool>) -> Stamped<NodeState> {
+        let boot_id = boot(boot_id);
+        Stamped { boot_id, seq: 0, at_utc: Utc::EPOCH, sent_s: None, held_s: None, body: state(stopped) }
+    }
+
+    fn boot(text: &str) -> BootId {
+        serde_json::from_value(text.into()).unwrap()
+    }
+
+    fn observatories(began: MachineTime) -> Observatories {
+        let timeout = Some(Duration::from_secs(20));
+        Observatories { timeout, began, last_away: None, is_shared: false, seen: BTreeMap::new() }
+    }
+
+    #[test]
+    fn a_silent_observatory_node_is_named_as_any_other_node_is() {
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        let silent = |seen: &[(&str, u64, Option<bool>)], last: Option<&str>| {
+            let mut known = observatories(at(0));
+            for (id, arrived_s, stopped) in seen {
+                known.take(id.parse().unwrap(), &stamped(&format!("boot of {id}"), *stopped), at(*arrived_s));
+            }
+            known.silent(last.map(boot).as_ref(), at(120))
+        };
+        let ids = |seen: &[_], last| silent(seen, last).into_keys().collect::<Vec<_>>();
+        let (main, second) = ("observatory/main", "observatory/second");
+        let one = silent(&[("main", 119, None)], Some("boot of main"));
+        let cause = "the observatory node main on host \"pc\" has fallen silent";
+        assert_eq!(one, BTreeMap::from([(main.to_owned(), cause.to_owned())]));
+        let both = [("main", 104, None), ("second", 119, None)];
+        assert_eq!(ids(&both, None), [main], "the standby goes on, and does not take over");
+        assert_eq!(ids(&both, Some("boot of second")), [main, second], "it had taken over, and hangs");
+        assert_eq!(ids(&[("main", 119, Some(true)), ("second", 119, None)], None), [second], "main was stopped");
+        assert_eq!(ids(&[("main", 119, None)], Some("the one before")), [main], "it was started again, and hangs");
+        assert_eq!(ids(&[], None), [main], "none was ever received");
+    }
+
+    #[test]
+    fn an_observatory_node_that_began_after_another_node_fell_silent_has_not_received_its_last_alerts() {
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        let mut known = observatories(at(0));
+        // It has run for 50 s: since second 50.
+        known.take("main".parse().unwrap(), &stamped("own", None), at(100));
+        let heard = |sender, last_s| known.has_heard(Some(&boot(sender)), at(last_s), at(200));
+        assert_eq!([40, 59, 61, 150].map(|last_s| heard("own", last_s)), [false, false, true, true]);
+        assert!(!heard("another incarnation", 150), "nothing is known of the one that publishes the alerts");
+    }
+
     #[test]
     fn a_silent_observatory_node_is_noticed_and_one_that_was_stopped_is_no_fault_while_another_node_sends_at_once() {
         let at = |s| MachineTime::from_boot(Duration::from_secs(s));
         let of = |is_shared, states: &[(&str, Option<bool>)]| {
-            let timeout = Some(Duration::from_secs(20));
-            let mut known =
-                Observatories { timeout, began: at(0), last_away: None, is_shared, stopped: BTreeMap::new() };
-            states.iter().for_each(|(id, stopped)| known.take(id.parse().unwrap(), &state(*stopped)));
+            let mut known = Observatories { is_shared, ..observatories(at(0)) };
+            states.iter().for_each(|(id, stopped)| known.take(id.parse().unwrap(), &stamped("own", *stopped), at(0)));
             known
         };
         let main = [("main", None)];
@@ -374,8 +456,8 @@ mod tests {
             let mut reports = LastReports::default();
             reports.take(who(), Alerts { alerts: alerts.clone(), ..Alerts::default() }, at(0));
             states.iter().for_each(|stopped| reports.observe(who(), &state(*stopped)));
-            assert_eq!(reports.active(others_know, at(60)).count(), 1, "{name}: too soon");
-            assert_eq!(reports.active(others_know, at(61)).count(), usize::from(is_kept), "{name}");
+            assert_eq!(reports.active(|_| others_know, at(60)).count(), 1, "{name}: too soon");
+            assert_eq!(reports.active(|_| others_know, at(61)).count(), usize::from(is_kept), "{name}");
         }
     }
 

@@ -194,11 +194,11 @@ pub enum NotDone {
     /// The observatory node has taken this one about the same thing, which is newer; ours was not given any more.
     #[error("{}", replaced_by_words(.0))]
     Replaced(Box<OrderTaken>),
-    /// It was taken, and where that was waited for all is verified closed; the observatory node's disk did not take it.
+    /// It was taken, and the observatory node's disk did not take it.
     #[error("{closed}{why}")]
     NotWritten {
-        /// What was verified, for people.
-        closed: &'static str,
+        /// Whether all is verified closed, for people; empty where that was not waited for.
+        closed: String,
         /// [`NotAccepted::NotWritten`].
         why: NotAccepted,
     },
@@ -316,18 +316,24 @@ async fn closed_by_observatory(
     (given_utc, within): (Utc, Duration),
     not_written: Option<NotAccepted>,
 ) -> Result<TakenBy, NotDone> {
-    let (taken, closed) = match within.is_zero() {
-        true => (TakenBy::Observatory, ""),
-        false => (follower.until_closed(order, given_utc, within).await?, "verified closed, but "),
+    let closed = match within.is_zero() {
+        true => Ok(TakenBy::Observatory),
+        false => follower.until_closed(order, given_utc, within).await,
     };
-    match not_written {
-        // It has tried again meanwhile, and answers a repeat by that. A node that fell silent has a warning of its own.
-        Some(why) if taken == TakenBy::Observatory => match give(bus, &follower.address, order).await {
-            Ok(()) => Ok(taken),
-            Err(_) => Err(NotDone::NotWritten { closed, why }),
-        },
-        Some(_) | None => Ok(taken),
+    // Of a node that fell silent before its guards closed there is a warning of its own.
+    let is_warned = matches!(closed, Ok(TakenBy::Ended(_) | TakenBy::Domes(_)));
+    let Some(why) = not_written.filter(|_| !is_warned) else { return closed.map_err(NotDone::from) };
+    // It has tried again meanwhile, and answers a repeat by that.
+    if give(bus, &follower.address, order).await.is_ok() {
+        return closed.map_err(NotDone::from);
     }
+    let closed = match closed {
+        Ok(_) if within.is_zero() => String::new(),
+        Ok(_) => "verified closed, but ".to_owned(),
+        // Neither hides the other.
+        Err(late) => format!("{late}. And "),
+    };
+    Err(NotDone::NotWritten { closed, why })
 }
 
 /// So long an order that closes and that only guards carried out is given on, machine time: an observatory node that hangs

@@ -373,29 +373,39 @@ async fn a_frame_is_stored_once_released_completed_and_found_again_after_a_resta
 
     // An archive that was away misses nothing, and has the count of what it stored.
     running.stop().await;
-    tokio::time::sleep(Duration::from_secs(2)).await;
+    let before = polled.lock().unwrap().len();
+    until("the mount was polled meanwhile", || polled.lock().unwrap().len() > before + 20).await;
+    let restarted = device_bus.clock().utc();
     let running = run(archive(folder.path(), join(&device_bus).await));
     let releases = spool.releases("frame-1");
     until("released after the restart", || spool.releases("frame-1") > releases).await;
-    tokio::time::sleep(Duration::from_secs(2)).await;
-    polling.abort();
-    tokio::time::sleep(Duration::from_millis(500)).await;
     assert_eq!(files(&images).len(), 1);
-    let rows = ask(&spool.bus, altitude()).await;
-    let times: Vec<Utc> = rows
-        .iter()
-        .map(|row| match row {
-            ArchiveRow::Reading { at_utc, .. } => *at_utc,
-            other => panic!("{other:?}"),
-        })
-        .collect();
-    let polled: Vec<Utc> = polled.lock().unwrap().clone();
-    let is_stored = |at: &Utc| times.iter().any(|stored| stored.seconds_since(*at).abs() < 1e-3);
-    let holes: Vec<&Utc> = polled
-        .iter()
-        .filter(|at| times.first() < Some(at) && Some(at) < times.last().as_ref() && !is_stored(at))
-        .collect();
-    assert!(times.len() > 20 && holes.is_empty(), "holes in the telemetry: {holes:?}");
+    let told = Mutex::new((0, Vec::new()));
+    let caught_up = async {
+        loop {
+            let rows = ask(&spool.bus, altitude()).await;
+            let times: Vec<Utc> = rows
+                .iter()
+                .map(|row| match row {
+                    ArchiveRow::Reading { at_utc, .. } => *at_utc,
+                    other => panic!("{other:?}"),
+                })
+                .collect();
+            let is_stored = |at: &Utc| times.iter().any(|stored| stored.seconds_since(*at).abs() < 1e-3);
+            let within = |at: &Utc| times.first() < Some(at) && Some(at) < times.last();
+            let holes: Vec<Utc> =
+                polled.lock().unwrap().iter().filter(|at| within(at) && !is_stored(at)).copied().collect();
+            let goes_on = times.last() > Some(&restarted);
+            if goes_on && holes.is_empty() {
+                return;
+            }
+            *told.lock().unwrap() = (times.len(), holes);
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    let caught_up = tokio::time::timeout(LIMIT, caught_up).await;
+    assert!(caught_up.is_ok(), "readings, and holes in them: {:?}", told.lock().unwrap());
+    polling.abort();
     let frames = ask(&spool.bus, Ask::Frames).await;
     assert!(matches!(&frames[..], [ArchiveRow::Frame { header_complete: true, .. }]), "{frames:?}");
     running.stop().await;

@@ -36,7 +36,7 @@ const COOLER_S: f64 = 3.0;
 
 /// No camera's shortest exposure is longer, and none counts its exposures in longer steps, s.
 const LONGEST_MIN_S: f64 = 60.0;
-/// No camera's longest exposure is shorter, s.
+/// No camera's longest exposure is shorter, s; one that reports 0 states none.
 const SHORTEST_MAX_S: f64 = 0.001;
 const MOST_BIN: i64 = 1024;
 /// Pixels of a side of a sensor.
@@ -298,7 +298,8 @@ impl Driver for Camera {
 /// The shortest and the longest exposure, s, as far as they are known.
 async fn exposure_limits(abilities: &mut Abilities) -> Result<[Option<f64>; 2], AlpacaError> {
     let least = abilities.read("ExposureMin", value::number_in(0.0..=LONGEST_MIN_S)).await?.ok();
-    let most = abilities.read("ExposureMax", value::number_in(SHORTEST_MAX_S..=f64::MAX)).await?.ok();
+    let most = abilities.read("ExposureMax", value::number_in(0.0..=f64::MAX)).await?.ok();
+    let most = most.filter(|most| *most >= SHORTEST_MAX_S);
     let Some((least_s, most_s)) = least.zip(most).filter(|(least, most)| least > most) else {
         return Ok([least, most]);
     };

@@ -48,8 +48,8 @@ impl Driver for CoverCalibrator {
         };
         let cover = present(abilities.read("CoverState", value::whole).await?);
         let calibrator = present(abilities.read("CalibratorState", value::whole).await?);
-        // A panel can be lit.
-        let brightness = value::whole_in(i64::from(calibrator)..=i64::from(i32::MAX));
+        // One that reports 0 states none: a panel can be lit.
+        let brightness = value::whole_in(0..=i64::from(i32::MAX));
         let max_brightness = abilities.read("MaxBrightness", brightness).await?.unwrap_or(0);
         Ok(Capabilities { cover, calibrator, max_brightness })
     }

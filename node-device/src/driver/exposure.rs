@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use alpaca::{Alpaca, AlpacaError, RawImage, value};
+use alpaca::{Alpaca, AlpacaError, Image, RawImage, value};
 use contract::device::camera::{Exposure, Purpose, Subframe};
 use contract::{CommandId, Kind, NoData};
 use tokio::time::{Instant, sleep, sleep_until};
@@ -96,6 +96,7 @@ impl Camera {
         self.store(
             place,
             raw,
+            part,
             About {
                 id: id.clone(),
                 camera: self.name.clone(),
@@ -280,10 +281,10 @@ impl Camera {
     }
 
     /// Decodes, writes, hashes and announces in parallel with the next exposure.
-    fn store(&self, place: crate::spool::Place, raw: RawImage, about: About) {
+    fn store(&self, place: crate::spool::Place, raw: RawImage, part: Subframe, about: About) {
         let max_adu = self.memory(|memory| memory.can.max_adu.known().copied());
         let spool = self.spool.clone();
-        tokio::spawn(async move { spool.keep(place, raw, max_adu, about).await });
+        tokio::spawn(async move { spool.keep(place, move || decoded(raw, max_adu, part), about).await });
     }
 }
 
@@ -292,6 +293,15 @@ impl Camera {
 fn is_possible(light_s: f64, asked_s: f64, elapsed_s: f64) -> bool {
     let agrees = (light_s - asked_s).abs() <= 0.1 * asked_s + 0.1;
     agrees || (light_s > 0.0 && light_s <= elapsed_s)
+}
+
+/// The image that was asked for. Of one that came as JSON the size is not known earlier.
+fn decoded(raw: RawImage, max_adu: Option<f64>, part: Subframe) -> Result<Image, AlpacaError> {
+    let image = raw.into_image(max_adu)?;
+    match differs((image.width_px, image.height_px), part) {
+        Some(why) => Err(AlpacaError::Protocol(why)),
+        None => Ok(image),
+    }
 }
 
 /// Why an image is not the one that was asked for: it is larger or smaller by more than a block of pixels.

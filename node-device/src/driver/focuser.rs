@@ -17,8 +17,8 @@ use crate::readings::Readings;
 const RESTS_S: f64 = 3.0;
 /// While it goes a part of its way, its position is asked for so often.
 const ON_THE_WAY: Duration = Duration::from_millis(200);
-/// The positions that a focuser can have at most: it has some, and ASCOM's numbers have 32 bits.
-const STEPS: RangeInclusive<i64> = 1..=2_147_483_647;
+/// The positions that a focuser can have at most, since ASCOM's numbers have 32 bits; with 0 it states no limit.
+const STEPS: RangeInclusive<i64> = 0..=2_147_483_647;
 /// A part of a way takes no longer, machine time.
 const PART: Duration = Duration::from_secs(120);
 
@@ -95,7 +95,7 @@ impl Driver for Focuser {
             absolute: abilities.can("Absolute").await?,
             max_step: abilities.read("MaxStep", value::whole_in(STEPS)).await?.unwrap_or(0),
             step_um: abilities.read("StepSize", value::number).await?.into(),
-            max_increment: abilities.read("MaxIncrement", value::whole_in(STEPS)).await?.ok(),
+            max_increment: abilities.read("MaxIncrement", value::whole_in(STEPS)).await?.ok().filter(|most| *most > 0),
         };
         self.max_increment.store(can.max_increment.unwrap_or(0), Ordering::Relaxed);
         Ok(can)

@@ -48,8 +48,8 @@ impl Driver for Rotator {
     }
 
     async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
-        let step_deg = abilities.read("StepSize", value::number_in(0.0..=LONGEST_STEP_DEG)).await?;
-        // A step of 0 is none.
+        let step_deg = abilities.read("StepSize", value::number_in(-1.0..=LONGEST_STEP_DEG)).await?;
+        // A rotator without steps, or that states none, reports 0 or -1.
         let step_deg = step_deg.ok().filter(|step| *step > 0.0);
         *self.step_deg.lock().unwrap_or_else(PoisonError::into_inner) = step_deg;
         Ok(Capabilities { reverse: abilities.can("CanReverse").await?, step_deg })

@@ -206,16 +206,10 @@ async fn shutter(alpaca: &Alpaca, connect: bool) -> Result<Shutter, AlpacaError>
 async fn parked(mount: Alpaca, connect: bool, orders: bool, asked: MachineTime) -> ParkReading {
     let mut fields = Fields { at_park: flag(get(&mount, connect, "atpark").await), ..Fields::default() };
     if fields.parked() == Some(true) {
-        // All at once, and what has come by then counts: the first answer must not become too old to count.
         let flags = join(mount.get("slewing"), mount.get("tracking"));
-        let coordinates = tokio::time::timeout(COORDINATES, coordinates(&mount));
-        let ((slewing, tracking), read) = join(flags, coordinates).await;
-        fields = Fields {
-            slewing: flag(slewing),
-            tracking: flag(tracking),
-            at_park: fields.at_park,
-            ..read.unwrap_or_default()
-        };
+        let late = tokio::time::sleep(COORDINATES);
+        let ((slewing, tracking), read) = with_what_comes(flags, coordinates(&mount), late).await;
+        fields = Fields { slewing: flag(slewing), tracking: flag(tracking), at_park: fields.at_park, ..read };
     }
     let reading = ParkReading::of(&fields, |_| asked);
     if orders && reading.says_parked != Some(true) {
@@ -228,6 +222,23 @@ async fn parked(mount: Alpaca, connect: bool, orders: bool, asked: MachineTime) 
         }
     }
     reading
+}
+
+/// The flags, and the coordinates if they come before it is too `late`: both are asked for at once, and the first answer must
+/// not become too old to count.
+async fn with_what_comes<T>(
+    flags: impl Future<Output = T>,
+    coordinates: impl Future<Output = Fields>,
+    late: impl Future<Output = ()>,
+) -> (T, Fields) {
+    let coordinates = async {
+        tokio::select! {
+            biased;
+            fields = coordinates => fields,
+            () = late => Fields::default(),
+        }
+    };
+    join(flags, coordinates).await
 }
 
 /// Where a mount points: right ascension and declination only where it does not tell altitude and azimuth.
@@ -280,5 +291,32 @@ pub fn alert(alarm: Alarm, name: &str) -> (AlertKind, String) {
         }
         Alarm::Hold => (AlertKind::DomeHeld, format!("the guard process closed dome {name}")),
         Alarm::Contradicts(what) => (AlertKind::DomeContradicts, format!("dome {name}: {}", what.cause())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::future::{pending, ready};
+
+    use futures_util::FutureExt as _;
+
+    use super::*;
+
+    #[test]
+    fn a_slow_server_that_gives_no_coordinates_yet_holds_up_no_flags_and_says_of_none_that_it_has_none() {
+        let (altitude_deg, azimuth_deg) = (Datum::Known(5.0), Datum::Known(180.0));
+        let place = Fields { altitude_deg, azimuth_deg, ..Fields::default() };
+        let asked = MachineTime::from_boot(Duration::from_secs(100));
+        let read = |answer: Option<(&str, Fields)>| {
+            let (flags, fields) = answer.unwrap();
+            let reading = ParkReading::of(&Fields { at_park: Datum::Known(true), ..fields }, |_| asked);
+            (flags.to_owned(), reading.place.is_some(), reading.has_none)
+        };
+        let told = with_what_comes(ready("flags"), ready(place), pending()).now_or_never();
+        assert_eq!(read(told), ("flags".to_owned(), true, false));
+        let slow = with_what_comes(ready("flags"), pending(), ready(())).now_or_never();
+        assert_eq!(read(slow), ("flags".to_owned(), false, false), "it is not taken for a mount without coordinates");
+        let slower = with_what_comes(ready("flags"), pending(), pending()).now_or_never();
+        assert!(slower.is_none(), "there is time yet");
     }
 }

@@ -24,6 +24,7 @@ mod starting;
 mod task;
 
 pub use complaint::RESTART;
+pub use places::forget_deleted_site;
 pub use task::main;
 
 use std::collections::BTreeMap;

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::Read as _;
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -38,17 +38,7 @@ struct Countdown {
 impl Places {
     /// The places for a configuration file, whether that can be read or not.
     pub fn of(config: &Path, id: &str) -> Self {
-        let whole = std::path::absolute(config).unwrap_or_else(|_| config.to_owned());
-        let folder = whole.parent().map(|folder| folder.canonicalize().unwrap_or_else(|_| folder.to_owned()));
-        let folder = folder.unwrap_or_else(|| PathBuf::from("."));
-        let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let mut stems = vec![folder.join(format!(".{name}.{id}"))];
-        let hash = Sha256::digest(folder.join(&name).to_string_lossy().as_bytes());
-        let short: String = hash.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
-        if let Some(state) = state_folder() {
-            stems.push(state.join(format!("{short}-{id}")));
-        }
-        Self { stems }
+        Self { stems: begins(config, state_folder()).into_iter().map(|begin| begin.with(id)).collect() }
     }
 
     /// The places in one folder, for tests.
@@ -160,6 +150,61 @@ impl Places {
     }
 }
 
+/// How the names of the files of all device nodes of a configuration begin in one folder.
+struct Begin {
+    folder: PathBuf,
+    name: String,
+}
+
+impl Begin {
+    fn with(&self, id: &str) -> PathBuf {
+        self.folder.join(format!("{}{id}", self.name))
+    }
+
+    /// The copies that are there, of whichever node.
+    fn copies(&self) -> io::Result<Vec<PathBuf>> {
+        let files = match fs::read_dir(&self.folder) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            files => files?.map(|file| file.map(|file| file.path())).collect::<io::Result<Vec<_>>>()?,
+        };
+        let is_copy = |path: &PathBuf| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name.starts_with(&self.name) && name.ends_with(".guard")
+        };
+        Ok(files.into_iter().filter(is_copy).collect())
+    }
+}
+
+/// First next to the configuration, then in the state folder.
+fn begins(config: &Path, state: Option<PathBuf>) -> Vec<Begin> {
+    let whole = std::path::absolute(config).unwrap_or_else(|_| config.to_owned());
+    let folder = whole.parent().map(|folder| folder.canonicalize().unwrap_or_else(|_| folder.to_owned()));
+    let folder = folder.unwrap_or_else(|| PathBuf::from("."));
+    let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let hash = Sha256::digest(folder.join(&name).to_string_lossy().as_bytes());
+    let short: String = hash.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+    let beside = Begin { folder, name: format!(".{name}.") };
+    [beside].into_iter().chain(state.map(|folder| Begin { folder, name: format!("{short}-") })).collect()
+}
+
+/// Removes the copies in the state folder of a site that was deleted with its folder, for whoever makes a site anew at
+/// the same path; returns the files that it removed. Where a copy is next to the configuration, the folder was not
+/// deleted, and nothing is removed: what was ordered may be lost, and the dome is to stay closed; likewise where the
+/// folders cannot be read. Blocks.
+pub fn forget_deleted_site(config: &Path) -> Vec<PathBuf> {
+    forget_in(&begins(config, state_folder()))
+}
+
+fn forget_in(begins: &[Begin]) -> Vec<PathBuf> {
+    match begins {
+        [beside, state] if beside.copies().is_ok_and(|copies| copies.is_empty()) => {
+            let copies = state.copies().unwrap_or_default();
+            copies.into_iter().filter(|path| fs::remove_file(path).is_ok()).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
 /// Another process holds a lock.
 #[derive(Debug)]
 pub struct Taken {
@@ -221,6 +266,29 @@ mod tests {
         let whole = fs::read(&file).unwrap();
         fs::write(&file, &whole[..whole.len() / 2]).unwrap();
         assert_eq!(both.copy(), Some((1, copy())));
+    }
+
+    #[test]
+    fn a_site_made_anew_forgets_the_one_that_was_deleted_with_its_folder_and_no_other() {
+        let home = tempfile::tempdir().unwrap();
+        let state = home.path().join("state");
+        let (config, other) = (home.path().join("site/observatory.toml"), home.path().join("other/observatory.toml"));
+        let begins = |config: &Path| begins(config, Some(state.clone()));
+        let places = |config: &Path, id: &str| Places { stems: begins(config).iter().map(|b| b.with(id)).collect() };
+        let remembers = |config: &Path, id: &str| places(config, id).copy().is_some();
+        for path in [&config, &other] {
+            fs::create_dir(path.parent().unwrap()).unwrap();
+            assert!(places(path, "enclosure").keep_copy(1, &copy()) && places(path, "pc").keep_copy(1, &copy()));
+        }
+        // It lost all that a person sees in its folder, perhaps with an order that it stays closed.
+        assert_eq!(forget_in(&begins(&config)), Vec::<PathBuf>::new());
+        assert!(remembers(&config, "enclosure") && remembers(&config, "pc"));
+        fs::remove_dir_all(config.parent().unwrap()).unwrap();
+        fs::create_dir(config.parent().unwrap()).unwrap();
+        assert!(remembers(&config, "enclosure"), "from the state folder");
+        assert_eq!(forget_in(&begins(&config)).len(), 2);
+        assert!(!remembers(&config, "enclosure") && !remembers(&config, "pc"));
+        assert!(remembers(&other, "enclosure"));
     }
 
     #[test]

@@ -14,12 +14,30 @@ use tokio::time::Instant;
 use super::unread::ReadingAgain;
 use super::{LONGEST_BACK_OFF_S, Loop};
 use crate::driver::Driver;
-use crate::polling::{Poll, Questions};
+use crate::polling::{LOST_AFTER, Poll, Questions};
 
 /// A reading may be no older than this, so that haste is of no more use (`common/safety`).
 const IN_HASTE: Duration = Duration::from_secs(60);
 /// A usual device answers long before this.
 const ANSWERS_WITHIN: Duration = Duration::from_millis(250);
+
+/// How many polls of what decides brought no whole answer, one after the other.
+#[derive(Debug, Default)]
+pub(super) struct SilentPolls(usize);
+
+impl SilentPolls {
+    /// Takes in a poll; true once the device is gone. Any answer shows that it is there, and the silence of what does not
+    /// decide shows nothing.
+    pub(super) fn take(&mut self, poll: &Poll, deciding: &[String]) -> bool {
+        let mut asked = poll.answers.iter().map(|answer| &answer.property).chain(&poll.unasked);
+        if !poll.lost.as_ref().is_some_and(AlpacaError::is_transport) {
+            self.0 = 0;
+        } else if asked.any(|property| deciding.contains(property)) {
+            self.0 += 1;
+        }
+        self.0 >= LOST_AFTER
+    }
+}
 
 impl<D: Driver> Loop<D> {
     /// Looks whether a property that decides, and was answered until now, was not answered in this poll: then it is asked
@@ -52,6 +70,7 @@ impl<D: Driver> Loop<D> {
     /// asked anew.
     pub(super) fn answers_again(&mut self) {
         self.polling = None;
+        self.silent_polls = SilentPolls::default();
         self.parts.clear();
         let now = Instant::now();
         (self.next_turn, self.next_full, self.rest_is_due) = (now, now, false);
@@ -85,5 +104,48 @@ impl<D: Driver> Loop<D> {
         // Several devices of one server come back one after another.
         let jitter = 1.0 + f64::from(self.serve.index % 8) * 0.03;
         self.next_turn = Instant::now() + Duration::from_secs_f64(back_off * jitter);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bus::Clock;
+
+    use super::*;
+    use crate::now::Now;
+    use crate::polling::PropertyAnswer;
+
+    /// A poll that ended with its first property: the others were left unasked.
+    fn poll(asked: &[&str], answers: bool) -> Poll {
+        let clock = Clock::machine_clock();
+        let began = Now { machine: clock.machine(), sky: clock.sky() };
+        let result = if answers { Ok(true.into()) } else { Err(AlpacaError::timeout(2.0)) };
+        let lost = result.as_ref().err().cloned();
+        let property = asked[0].to_owned();
+        Poll {
+            began,
+            began_at: Instant::now(),
+            answers: vec![PropertyAnswer { property, result, at_utc: clock.utc(), asked: began }],
+            lost,
+            full: false,
+            device_state: false,
+            crowded: false,
+            unasked: asked[1..].iter().map(|name| (*name).to_owned()).collect(),
+        }
+    }
+
+    #[test]
+    fn two_properties_that_hang_by_themselves_are_no_device_that_is_gone() {
+        let deciding = ["RainRate", "WindSpeed"].map(str::to_owned);
+        let is_gone = |polls: &[(&[&str], bool)]| {
+            let mut silent = SilentPolls::default();
+            polls.iter().map(|(asked, answers)| silent.take(&poll(asked, *answers), &deciding)).collect::<Vec<_>>()
+        };
+        let (rain, both, rest) = (&["RainRate"][..], &["RainRate", "WindSpeed"][..], &["Pressure"][..]);
+        assert_eq!(is_gone(&[(both, false), (both, false)]), [false, true], "what decides is silent twice");
+        assert_eq!(is_gone(&[(rest, false), (rain, false)]), [false, false], "one that decides and one that does not");
+        assert_eq!(is_gone(&[(rest, false), (rest, false)]), [false, false], "none decides");
+        assert_eq!(is_gone(&[(rain, false), (rest, true), (rain, false)]), [false; 3], "the device answers meanwhile");
+        assert_eq!(is_gone(&[(rain, false), (rest, false), (rain, false)]), [false, false, true]);
     }
 }

@@ -130,7 +130,8 @@ fn is_cold(fields: &camera::Fields, set_c: f64, tolerance_k: f64) -> bool {
 fn within_limits(flats: config::Flats, can: &camera::Capabilities) -> Result<config::Flats, String> {
     let (low, high) = (flats.exposure_min_s, flats.exposure_max_s);
     let exposure_min_s = can.exposure_min_s.map_or(low, |least| low.max(least));
-    let exposure_max_s = can.exposure_max_s.map_or(high, |most| high.min(most));
+    // A camera whose longest exposure is 0 states none.
+    let exposure_max_s = can.exposure_max_s.filter(|most| *most > 0.0).map_or(high, |most| high.min(most));
     if exposure_min_s > exposure_max_s {
         let takes = format!("{exposure_min_s} to {exposure_max_s} s are left");
         return Err(format!(
@@ -227,6 +228,7 @@ mod tests {
         let flats = config::Flats { exposure_min_s: 1.0, exposure_max_s: 60.0, ..Default::default() };
         let range = |can| within_limits(flats, &can).map(|flats| (flats.exposure_min_s, flats.exposure_max_s));
         assert_eq!(range(can(None, None)), Ok((1.0, 60.0)));
+        assert_eq!(range(can(Some(0.0), Some(0.0))), Ok((1.0, 60.0)), "it states no limit");
         assert_eq!(range(can(Some(2.0), Some(30.0))), Ok((2.0, 30.0)));
         assert_eq!(range(can(Some(0.001), Some(3600.0))), Ok((1.0, 60.0)));
         assert!(range(can(None, Some(0.5))).unwrap_err().contains("1 to 0.5 s are left"));

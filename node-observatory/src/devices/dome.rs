@@ -8,6 +8,7 @@ use bus::{Latest, MachineTime};
 use config::{CloseWithMount, Follow};
 use contract::device::dome::{self, Command, Guard, Shutter};
 use contract::{CommandOutcome, Device, Key, Reason};
+use tokio::time::Sleep;
 use units::seconds;
 
 use super::guards::Guards;
@@ -41,6 +42,10 @@ pub struct Dome {
     stands_deg: Mutex<Option<f64>>,
     /// This node had it opened, and it was not proven closed since.
     was_opened: AtomicBool,
+    /// Whoever let the guard close had the time to ask this node, too.
+    may_be_resumed: AtomicBool,
+    /// How it waits.
+    sleep: fn(Duration) -> Sleep,
 }
 
 /// The parking of a dome as it is seen now.
@@ -56,6 +61,9 @@ pub struct ParkSight {
 
 /// A guard that published nothing for so long is not there.
 const GUARD_AGE: Duration = Duration::from_secs(5);
+/// An order to close that a guard took while no observatory node answered is given to this one within so long, machine
+/// time: no hold is ended before that.
+const ASKED_WITHIN: Duration = Duration::from_secs(5);
 /// What may pass is looked at again after this time.
 const AGAIN: Duration = Duration::from_millis(300);
 
@@ -84,6 +92,8 @@ impl Dome {
             turning_fails: AtomicBool::new(false),
             stands_deg: Mutex::new(None),
             was_opened: AtomicBool::new(false),
+            may_be_resumed: AtomicBool::new(false),
+            sleep: tokio::time::sleep,
         })
     }
 
@@ -165,8 +175,7 @@ impl Dome {
             if !refusals.had_any && self.shutter() == Some(Shutter::Open) {
                 return Ok(());
             }
-            // While a hold is ended, something may have been missed.
-            if !may()? || (self.end_hold().await? && !may()?) {
+            if !may()? || !self.end_hold(&may).await? {
                 refusals.pause();
             } else {
                 self.was_opened.store(true, Ordering::Relaxed);
@@ -197,18 +206,45 @@ impl Dome {
     }
 
     /// Has its guard closed it, and opens it for nobody until the hold is ended?
-    pub fn is_held(&self) -> bool {
+    fn is_held(&self) -> bool {
         self.guard.fresh(GUARD_AGE).is_some_and(|guard| guard.sample.body.hold)
     }
 
-    /// True where there was a hold to end.
-    async fn end_hold(&self) -> Result<bool, ActionError> {
-        let holds = self.is_held();
-        if holds {
-            tracing::info!(dome = %self.instrument.device.name, "the guard had closed; taking over again");
-            self.instrument.ask(Command::Resume).await?;
+    /// Where a guard holds it shut, whoever let it close may ask this node, too: waits so long, once, and gives true.
+    /// Nothing is to move before.
+    pub async fn until_asked(&self) -> bool {
+        let is_held = self.is_held();
+        if !is_held || !self.may_be_resumed.load(Ordering::Relaxed) {
+            until_asked(is_held, self.sleep).await;
+            self.may_be_resumed.store(is_held, Ordering::Relaxed);
         }
-        Ok(holds)
+        is_held
+    }
+
+    /// Ends a hold of the guard, whenever it began; false where something keeps the dome shut by then.
+    async fn end_hold(&self, may: impl Fn() -> Result<bool, ActionError>) -> Result<bool, ActionError> {
+        if !self.until_asked().await {
+            return Ok(true);
+        }
+        // What came in this time counts, and what comes while the hold is ended.
+        if !may()? {
+            return Ok(false);
+        }
+        tracing::info!(dome = %self.instrument.device.name, "the guard had closed; taking over again");
+        self.instrument.ask(Command::Resume).await?;
+        self.may_be_resumed.store(false, Ordering::Relaxed);
+        may()
+    }
+}
+
+/// Where a guard holds its dome shut, whoever let it close may ask this node, too: waits so long.
+async fn until_asked<S: Future<Output = ()>>(is_held: bool, sleep: impl FnOnce(Duration) -> S) {
+    if is_held {
+        tracing::info!(
+            wait_s = ASKED_WITHIN.as_secs(),
+            "opening waits, in case whoever let a guard close asks this node, too"
+        );
+        sleep(ASKED_WITHIN).await;
     }
 }
 
@@ -234,16 +270,23 @@ impl Refusals {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
     use std::sync::Arc;
     use std::sync::atomic::AtomicUsize;
 
     use bus::Clock;
     use contract::{Accepted, Address, CommandId, DeviceState, Kind, Refusal, Reply};
+    use futures_util::FutureExt as _;
     use test_support::{LIMIT, dome_state, join, private_bus};
     use tokio::sync::watch;
 
     use super::*;
     use crate::hold::Hold;
+
+    thread_local! {
+        /// How long the dome of the test on this thread had waited for orders.
+        static WAITED: Cell<Duration> = const { Cell::new(Duration::ZERO) };
+    }
 
     /// Joins `bus` as the one that commands a dome, which is shut, and whose node serves it already.
     async fn dome_on(bus: &bus::Bus, device: Device, states: &bus::Publisher<DeviceState<dome::Fields>>) -> Dome {
@@ -253,7 +296,11 @@ mod tests {
             lease: watch::channel(Hold::Standby).1,
             doubt: Arc::default(),
         };
-        let dome = Dome::listen(&command_sender, device, None).await.unwrap();
+        let mut dome = Dome::listen(&command_sender, device, None).await.unwrap();
+        dome.sleep = |time| {
+            WAITED.set(WAITED.get() + time);
+            tokio::time::sleep(Duration::ZERO)
+        };
         let meet = async {
             states.put(dome_state(Shutter::Closed)).await.unwrap();
             while dome.instrument.ask(Command::Abort).await.is_err() {
@@ -274,6 +321,64 @@ mod tests {
         assert!(refusals.had_any, "one that has refused may be open and about to close");
         assert!(refusals.may_go_on(at(1500), most) && refusals.may_go_on(at(1559), most));
         assert!(!refusals.may_go_on(at(1560), most));
+    }
+
+    #[test]
+    fn opening_waits_for_whoever_let_a_guard_close_and_for_nobody_else() {
+        for (is_held, slept) in [(true, Some(ASKED_WITHIN)), (false, None)] {
+            let mut sleeps = None;
+            let sleep = |time| {
+                sleeps = Some(time);
+                std::future::ready(())
+            };
+            assert_eq!(until_asked(is_held, sleep).now_or_never(), Some(()));
+            assert_eq!(sleeps, slept);
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn what_comes_before_a_hold_is_ended_leaves_it_to_the_guard_also_where_it_began_late() {
+        let bus = private_bus(Clock::machine_clock()).await;
+        let device = Address::new("test", "alpha").unwrap().device(Kind::Dome, &"roof".parse().unwrap());
+        let states = Arc::new(bus.publisher::<DeviceState<dome::Fields>>(&Key::State(device.clone())).await.unwrap());
+        let guards = bus.publisher::<Guard>(&Key::Guard(device.clone())).await.unwrap();
+        let sent = Arc::<Mutex<Vec<Command>>>::default();
+        let taken = sent.clone();
+        let answer = move |command: Result<contract::Command<Command>, String>| {
+            let contract::Command { id, action, .. } = command.unwrap();
+            taken.lock().unwrap().push(action);
+            async move { Reply::Accepted(Accepted { id, token: None, not_written: None }) }
+        };
+        let _service = bus.serve(&Key::Command(device.clone()), answer).await.unwrap();
+        let dome = dome_on(&bus, device, &states).await;
+        let mut guard: Guard =
+            serde_json::from_str(include_str!("../../../common/contract/golden/v1/dome.guard.json")).unwrap();
+        guard.hold = true;
+        let looks = AtomicUsize::default();
+        let holding = async {
+            while looks.load(Ordering::SeqCst) < 2 {
+                guards.put(guard.clone()).await.unwrap();
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        };
+        // Whoever let the guard close asks this node before the second look.
+        let may = || match looks.fetch_add(1, Ordering::SeqCst) {
+            0 => Ok(true),
+            _ => Err(ActionError::Unanswered { device: "roof".to_owned(), verb: "ordered to close".to_owned() }),
+        };
+        let opening = async {
+            while !dome.is_held() {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+            states.put(dome_state(Shutter::Closed)).await.unwrap();
+            dome.open(may).await
+        };
+        let (opened, ()) = tokio::time::timeout(LIMIT, async { tokio::join!(opening, holding) }).await.unwrap();
+        assert!(opened.is_err());
+        assert_eq!(WAITED.get(), ASKED_WITHIN, "once");
+        let moves = |command: &Command| matches!(command, Command::Resume | Command::OpenShutter);
+        let sent = sent.lock().unwrap();
+        assert!(!sent.iter().any(moves), "{sent:?}");
     }
 
     #[tokio::test(flavor = "multi_thread")]

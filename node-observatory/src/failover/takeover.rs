@@ -9,18 +9,19 @@ use std::time::Duration;
 use bus::{Bus, BusError, Latest, Received};
 use contract::observatory::{AlertKind, Alerts, NightState, OperatorOrders};
 use contract::{Address, Key, Part, Payload};
-use interlock::takeover::{are_last_orders, switch_after};
+use interlock::takeover::{are_last_orders, last_order, switch_after};
+use node::NodeAlerts;
 use safety::active_orders::ActiveOrders;
 use safety::on_disk::OnDisk;
 use safety::ordered_by::OrderedBy;
 use safety::takeover::{Known, Source, Word};
-use units::Utc;
+use units::{Utc, seconds};
 
 use crate::active_orders::OrderState;
 use crate::authority::Authority;
 use crate::journal::Journal;
-use crate::persisted::{Persisted, replaced};
-use crate::{active_orders, annunciator};
+use crate::persisted::{Persisted, answer_within, replaced};
+use crate::{active_orders, annunciator, robotic as switch};
 
 /// A disk that hangs keeps nobody from commanding.
 const DISK: Duration = Duration::from_secs(2);
@@ -137,39 +138,71 @@ fn put(takeover: &Takeover, orders: &ActiveOrders) {
     takeover.orders.orders.change(|known| replaced(known, orders));
 }
 
-/// The orders in the folder; makes the journal this node's.
+/// The orders in the folder; makes the journal this node's. Each is waited for by itself: the journal is written anew,
+/// and a disk may answer slowly to that alone.
 async fn read(takeover: &Takeover) -> OnDisk {
     let node = &takeover.authority.node;
-    let (disk, taken) = read_within(active_orders::path(&node.config), takeover.journal.clone(), [DISK; 2]).await;
-    match taken {
-        Ok(()) => node.alerts.clear(AlertKind::Journal, ""),
-        Err(error) => {
-            let cause = format!("the journal cannot be taken over: {error}");
-            node.alerts.raise(AlertKind::Journal, "", &cause);
+    let orders = read_orders(active_orders::path(&node.config), DISK);
+    let (authority, journal) = (takeover.authority.clone(), takeover.journal.clone());
+    let known = journal.last_robotic();
+    let late = move || {
+        if authority.hold.borrow().may_publish() && was_turned_off(known, journal.last_robotic()) {
+            let why = "robotic operation had been switched off, which a slow disk tells now";
+            switch::turn_off(&authority, &journal, why);
         }
-    }
+    };
+    let (disk, ()) = tokio::join!(orders, take_journal(takeover.journal.clone(), node.alerts.clone(), DISK, late));
     disk
 }
 
-/// Each is waited for by itself: the journal is written anew, and a disk may answer slowly to that alone.
-async fn read_within(path: PathBuf, journal: Arc<Journal>, within: [Duration; 2]) -> (OnDisk, io::Result<()>) {
+async fn read_orders(path: PathBuf, within: Duration) -> OnDisk {
     let file = path.clone();
     let reading = tokio::task::spawn_blocking(move || active_orders::read(&file));
-    let taking = tokio::task::spawn_blocking(move || journal.take_over());
-    let [orders, journal] = within;
-    let (read, taken) = tokio::join!(tokio::time::timeout(orders, reading), tokio::time::timeout(journal, taking));
-    let disk = match read {
+    match tokio::time::timeout(within, reading).await {
         Ok(Ok(disk)) => disk,
         Ok(Err(_)) | Err(_) => {
-            let (within_s, path) = (orders.as_secs(), path.display());
+            let (within_s, path) = (within.as_secs(), path.display());
             OnDisk::Unreadable(format!("the disk did not answer within {within_s} s when {path} was read"))
         }
-    };
-    let taken = match taken {
-        Ok(Ok(taken)) => taken,
-        Ok(Err(_)) | Err(_) => Err(io::ErrorKind::TimedOut.into()),
-    };
-    (disk, taken)
+    }
+}
+
+/// Whether a journal that was read late tells of an "off" which this node did not know, maybe another node's. One that it
+/// knew was judged already.
+fn was_turned_off(known: Option<(Utc, bool)>, read: Option<(Utc, bool)>) -> bool {
+    read != known && read.is_some_and(|(_, on)| !on)
+}
+
+/// Makes the journal this node's, and waits so long for it. One that the disk takes `late` is this node's then, and its
+/// alert ends.
+async fn take_journal(
+    journal: Arc<Journal>,
+    alerts: NodeAlerts,
+    within: Duration,
+    late: impl FnOnce() + Send + 'static,
+) {
+    let taking = tokio::task::spawn_blocking(move || journal.take_over());
+    let mut told = tokio::spawn(async move {
+        let complain = |why: &str| {
+            alerts.raise(AlertKind::Journal, "", &format!("the journal cannot be taken over: {why}"));
+        };
+        match answer_within(within, taking, complain).await.map_err(io::Error::other).and_then(|taken| taken) {
+            Ok(()) => alerts.clear(AlertKind::Journal, ""),
+            Err(error) => {
+                complain(&error.to_string());
+                return false;
+            }
+        }
+        true
+    });
+    // A disk that is slow keeps nobody from commanding.
+    if tokio::time::timeout(within, &mut told).await.is_err() {
+        tokio::spawn(async move {
+            if told.await.is_ok_and(|taken| taken) {
+                late();
+            }
+        });
+    }
 }
 
 /// The last payload of another incarnation than this one.
@@ -221,8 +254,11 @@ async fn judged_anew(takeover: &Takeover) {
 fn learn_robotic(takeover: &Takeover, now: Utc) {
     let published =
         foreign(takeover, &takeover.before.night).map(|received| (received.sample.body.robotic, received.arrived));
+    let clock = takeover.authority.node.bus.clock();
+    let off = last_order(takeover.journal.last_robotic(), now).filter(|(_, on)| !on);
+    let off_ago = off.map(|(at, _)| clock.machine_duration(seconds(now.seconds_since(at))));
     let own = || robotic(&takeover.journal, *takeover.authority.robotic.borrow(), now);
-    let on = switch_after(published, takeover.authority.node.bus.clock().machine(), own);
+    let on = switch_after(published, off_ago, clock.machine(), own);
     if takeover.authority.robotic.send_replace(on) != on {
         tracing::info!(on, "the robotic switch stands as it was ordered");
     }
@@ -231,6 +267,10 @@ fn learn_robotic(takeover: &Takeover, now: Utc) {
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+
+    use bus::Clock;
+    use test_support::LIMIT;
+    use tokio::time::timeout;
 
     use super::*;
 
@@ -261,15 +301,44 @@ mod tests {
         orders.get().stay_closed.is_some()
     }
 
-    #[tokio::test]
-    async fn a_disk_that_is_slow_to_write_the_journal_keeps_no_order_from_being_read() {
+    #[test]
+    fn a_journal_that_is_read_late_turns_off_only_by_an_off_that_was_not_known_before() {
+        let (off, on) = ((Utc::from_seconds(1000.0), false), (Utc::from_seconds(2000.0), true));
+        let later = (Utc::from_seconds(3000.0), false);
+        for (known, read, turns) in [
+            (None, None, false),
+            (None, Some(off), true),
+            (Some(off), Some(off), false),
+            (Some(off), Some(on), false),
+            (Some(on), Some(later), true),
+            (Some(off), Some(later), true),
+        ] {
+            assert_eq!(was_turned_off(known, read), turns, "{known:?}, then {read:?}");
+        }
+    }
+
+    #[test]
+    fn a_disk_that_is_slow_to_write_the_journal_keeps_no_order_from_being_read_and_its_alert_ends_with_it() {
         let folder = tempfile::tempdir().unwrap();
         let journal = Arc::new(Journal::open(&folder.path().join("journal.jsonl")).unwrap());
-        let read = async |within| read_within(folder.path().join("orders.json"), journal.clone(), within).await;
-        let (disk, taken) = read([SLOW_DISK; 2]).await;
-        assert_eq!((disk, taken.is_ok()), (OnDisk::Absent, true));
-        let (disk, _) = read([SLOW_DISK, Duration::ZERO]).await;
-        assert_eq!(disk, OnDisk::Absent, "the journal is waited for no longer");
+        let alerts = NodeAlerts::new(Clock::machine_clock());
+        let mut shown = alerts.watch();
+        let stands = |alerts: &Alerts| alerts.alerts.iter().any(|alert| alert.cause.contains("cannot be taken over"));
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+        let (taken, late) = tokio::sync::oneshot::channel();
+        let slow = journal.hang();
+        runtime.block_on(async {
+            let late = || taken.send(()).unwrap();
+            let taking = take_journal(journal.clone(), alerts.clone(), Duration::ZERO, late);
+            let (disk, ()) = tokio::join!(read_orders(folder.path().join("orders.json"), SLOW_DISK), taking);
+            assert_eq!(disk, OnDisk::Absent, "the journal is waited for no longer");
+            timeout(LIMIT, shown.wait_for(stands)).await.unwrap().unwrap();
+        });
+        drop(slow);
+        runtime.block_on(async {
+            timeout(LIMIT, shown.wait_for(|alerts| !stands(alerts))).await.unwrap().unwrap();
+            timeout(LIMIT, late).await.expect("what the journal says is looked at when it is there").unwrap();
+        });
     }
 
     #[tokio::test]

@@ -6,8 +6,8 @@
 mod by_script;
 
 use std::sync::Arc;
-use std::time::Duration;
 
+use futures_util::future::join_all;
 use safety::current_verdict::CurrentVerdict;
 use schedule::plan::overheads::{TOOK, TimedPart};
 use tokio::sync::watch;
@@ -19,10 +19,6 @@ use crate::devices::{Chain, Devices};
 use crate::hooks::ScriptedSite;
 use crate::slit::{self, Slits};
 use crate::took::took_s;
-
-/// An order to close that the guards took while no observatory node answered is given to this one within so long,
-/// machine time: nothing moves before that.
-const ASKED_WITHIN: Duration = Duration::from_secs(5);
 
 /// What opening works with.
 pub struct Opener {
@@ -42,12 +38,7 @@ pub struct Opener {
 pub async fn open(opener: &Opener, chain: &Chain<'_>) -> Result<(), ActionError> {
     let (clock, was_shut) = (opener.authority.node.bus.clock(), !opener.devices.are_domes_open());
     wait_until_known(opener).await?;
-    if opener.devices.domes.iter().any(Dome::is_held) {
-        tracing::info!(
-            wait_s = ASKED_WITHIN.as_secs(),
-            "opening waits, in case whoever let a guard close asks this node, too"
-        );
-        tokio::time::sleep(ASKED_WITHIN).await;
+    if join_all(opener.devices.domes.iter().map(Dome::until_asked)).await.contains(&true) {
         wait_until_known(opener).await?;
     }
     // A pending close request gives way to what is observed now.
@@ -181,6 +172,7 @@ async fn until_known(
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicBool, Ordering};
+    use std::time::Duration;
 
     use contract::observatory::Unsafe;
     use futures_util::FutureExt as _;

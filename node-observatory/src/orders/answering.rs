@@ -130,7 +130,7 @@ impl OrderServer {
         if !execution::acts_at_once(&order.kind) {
             return reply;
         }
-        let not_written = execution::settle(&self.telescope).await;
+        let not_written = execution::settle(&self.telescope, &order.kind).await;
         match reply {
             Reply::Accepted(accepted) => Reply::Accepted(Accepted { not_written, ..accepted }),
             refusal @ Reply::Refusal(_) => refusal,

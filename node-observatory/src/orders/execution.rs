@@ -3,6 +3,7 @@
 //! An order that closes, or makes the verdict stricter, acts at once, whatever the disk does. Any other that is to
 //! survive this node is on disk before it acts, and refused where the disk fails.
 
+use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -13,15 +14,17 @@ use safety::active_orders::ActiveOrders;
 use safety::annunciator::Annunciator;
 use safety::ordered_by::OrderedBy;
 use sky::NightDate;
+use tokio::sync::watch;
 
 use crate::action_error::ActionError;
 use crate::active_orders::OrderState;
 use crate::authority::Authority;
 use crate::devices::Devices;
 use crate::failover::operator_orders;
+use crate::hold::Hold;
 use crate::journal::Journal;
 use crate::orders::rows::OrderedRows;
-use crate::persisted::Unchanged;
+use crate::persisted::{Persisted, Unchanged};
 use crate::robotic;
 use crate::schedule_file::versions::Author;
 use crate::schedule_file::{self, ScheduleFile};
@@ -122,15 +125,10 @@ pub fn at_once(telescope: &Telescope, tightened: &Tightened, order: &Order) -> R
     accept(&order.id)
 }
 
-/// Waits a moment until what acted at once is on disk and on the bus. Returns the file and the error where it is not on
-/// disk.
-pub async fn settle(telescope: &Telescope) -> Option<String> {
-    let journal = telescope.journal.clone();
-    let switch = tokio::task::spawn_blocking(move || journal.write_switch());
-    let on_disk = async {
-        telescope.orders.orders.write().await?;
-        switch.await.map_err(std::io::Error::other)?
-    };
+/// Waits a moment until an order that acted at once is on disk and on the bus. Returns the file and the error where it is
+/// not on disk.
+pub async fn settle(telescope: &Telescope, kind: &OrderKind) -> Option<String> {
+    let on_disk = on_disk(kind, &telescope.authority.hold, &telescope.orders.orders, &telescope.journal);
     let on_bus = async {
         let mut published = telescope.orders.published.subscribe();
         // The sender lives as long as the telescope, so waiting cannot fail.
@@ -150,6 +148,31 @@ pub async fn settle(telescope: &Telescope) -> Option<String> {
             Some(format!("{data}: no answer of the disk within {} s", SETTLED.as_secs()))
         }
     }
+}
+
+/// Writes what an order that acted at once has changed, as far as it is not written yet.
+async fn on_disk(
+    kind: &OrderKind,
+    hold: &watch::Receiver<Hold>,
+    orders: &Persisted<ActiveOrders>,
+    journal: &Arc<Journal>,
+) -> io::Result<()> {
+    // The folder may be shared, and then it is the commander's to write.
+    let commands = || match hold.borrow().may_publish() {
+        true => Ok(()),
+        false => Err(io::Error::other("this node does not command now: give the order again")),
+    };
+    let switch = async {
+        match kind {
+            OrderKind::Close | OrderKind::Robotic(_) => journal.write_switch_in_turn().await,
+            // The switch is as it was.
+            _ => Ok(()),
+        }
+    };
+    commands()?;
+    tokio::try_join!(orders.write(), switch)?;
+    // A node that stood still lost the lease meanwhile.
+    commands()
 }
 
 /// Follows an order that is on disk before it acts.
@@ -257,7 +280,7 @@ async fn cooler(
 async fn turn_robotic_on(telescope: &Telescope, still: impl Fn() -> Result<(), String>) -> Result<(), Unchanged> {
     let (journal, clock) = (telescope.journal.clone(), telescope.authority.node.bus.clock().clone());
     let written = tokio::task::spawn_blocking(move || journal.robotic_on(clock.utc())).await;
-    let written = written.map_err(std::io::Error::other).and_then(|written| written);
+    let written = written.map_err(io::Error::other).and_then(|written| written);
     written.map_err(|source| Unchanged::Disk { path: "the journal".to_owned(), source })?;
     if let Err(why) = still() {
         robotic::note_off(&telescope.authority, &telescope.journal);
@@ -297,4 +320,42 @@ fn accept(id: &CommandId) -> Reply {
 /// A refusal, for people and programs.
 pub fn refuse(id: &CommandId, reason: Reason, detail: &str) -> Reply {
     Reply::Refusal(Refusal { id: id.clone(), reason, detail: detail.to_owned() })
+}
+
+#[cfg(test)]
+mod tests {
+    use test_support::LIMIT;
+    use tokio::time::timeout;
+    use units::Utc;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn only_an_order_about_the_switch_waits_for_the_journal_and_a_standby_writes_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("j.jsonl");
+        let journal = Arc::new(Journal::open(&path).unwrap());
+        let writer = "main".parse().unwrap();
+        let orders = Persisted::new(folder.path().join("orders.json"), &writer, ActiveOrders::default());
+        let settled = async |kind: OrderKind, hold: Hold, within: Duration| {
+            timeout(within, on_disk(&kind, &watch::channel(hold).1, &orders, &journal)).await
+        };
+        let at = Utc::from_seconds(1000.0);
+        journal.robotic_off(at);
+        let written = || Journal::last_robotic_in(&path).unwrap();
+
+        let standby = settled(OrderKind::Close, Hold::Standby, LIMIT).await.unwrap().unwrap_err().to_string();
+        assert!(standby.contains("give the order again"), "{standby}");
+        assert_eq!(written(), None);
+
+        // A write of the switch hangs.
+        let hangs = journal.hold_pen().await;
+        settled(OrderKind::StayClosed(true), Hold::Claiming, LIMIT).await.unwrap().unwrap();
+        for kind in [OrderKind::Close, OrderKind::Robotic(false)] {
+            assert!(settled(kind.clone(), Hold::Claiming, Duration::ZERO).await.is_err(), "{kind:?}");
+        }
+        drop(hangs);
+        settled(OrderKind::Close, Hold::Claiming, LIMIT).await.unwrap().unwrap();
+        assert_eq!(written(), Some((at, false)));
+    }
 }

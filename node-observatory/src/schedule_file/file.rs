@@ -37,7 +37,9 @@ pub struct FileReading {
 }
 
 /// An order to read the file is answered within this: a disk may hang.
-const READ_WITHIN: Duration = Duration::from_secs(10);
+const READ_WITHIN: Duration = Duration::from_secs(2);
+// Whoever gave it has the reason before it takes the silence for that of a node that is gone.
+const _: () = assert!(READ_WITHIN.as_millis() < orders::ANSWER_WITHIN.as_millis());
 
 /// How often the file is looked at, machine time: one question to the file system, and a change is active within 1 s
 /// also on a machine that is busy.

@@ -36,6 +36,7 @@ use self::entry::{Entry, Notes};
 use self::site::Location;
 use self::telescopes::File;
 use crate::console::line;
+use crate::new_site;
 
 /// Options of `starmesh import-astra`.
 #[derive(Debug, Args)]
@@ -146,6 +147,9 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     line(format_args!("read  {}", found.config.display()))?;
     for (path, _) in &new {
         line(format_args!("wrote {}", path.display()))?;
+        if path.ends_with("observatory.toml") {
+            new_site::forget_deleted(path)?;
+        }
     }
     if location.is_none() {
         line(format_args!(

@@ -22,6 +22,7 @@ use contract::{Address, Chunk};
 use self::before::Before;
 use self::place::Surroundings;
 use crate::console::{foreign_line, line};
+use crate::new_site;
 
 /// Options of `starmesh init`.
 #[derive(Debug, Args)]
@@ -71,6 +72,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     }
     let found = devices(&options.server, discovery::discover(Duration::from_secs_f64(options.seconds))).await?;
     let around = place::ask(&found).await;
+    let is_new = !options.folder.join(CONFIG).exists();
     let before = Before::read(&options.folder.join(CONFIG));
     let config = text::text(&options, &found, &around, &before);
     let observatory = text::prove(&config, around.place, &options.folder).context("the new configuration")?;
@@ -90,6 +92,9 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         }
         write(&path, text)?;
         line(format_args!("wrote {}", path.display()))?;
+    }
+    if is_new {
+        new_site::forget_deleted(&options.folder.join(CONFIG))?;
     }
     print_summary(&options, &found, &around)
 }

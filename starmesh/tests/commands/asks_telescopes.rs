@@ -8,7 +8,9 @@ use std::time::Duration;
 
 use bus::{Bus, Clock, Service};
 use contract::node::NodeState;
-use contract::observatory::{NightState, OrderTaken, SafetyState, ScheduleDraft, ScheduleFindings, ScheduleState};
+use contract::observatory::{
+    NightState, OrderTaken, Posture, SafetyState, ScheduleDraft, ScheduleFindings, ScheduleState,
+};
 use contract::{Accepted, Address, Key, NodeTopic, Order, OrderKind, Part, Reason, Refusal, Reply, Role};
 use serde_json::{Value, json};
 use tokio::sync::watch;
@@ -105,6 +107,13 @@ async fn an_order_that_holds_and_is_not_on_disk_fails_with_the_file_and_the_erro
         assert!(!output.success && output.err.contains(&told), "{words:?}: {}{}", output.out, output.err);
         let is_closing = words[0] == "stay-closed";
         assert_eq!(output.out.contains("accepted"), is_closing, "{words:?}: {}", output.out);
+    }
+    // One that does not close either: neither hides the other.
+    telescope.night.send_modify(|night| night.posture = Posture::Closing);
+    let late = ["order", "paranal/callisto", "stay-closed", "--wait", "1", "--reason", FULL_DISK];
+    let output = telescope.starmesh(&late).await;
+    for told in ["NOT verified closed within 1 s: ", ". And the order holds now and is NOT on disk (/data/"] {
+        assert!(!output.success && output.err.contains(told), "{told}: {}{}", output.out, output.err);
     }
 }
 

@@ -12,6 +12,7 @@ mod command;
 mod fetches_gaia;
 mod finds_frames;
 mod lets_users_in;
+mod makes_a_site_anew;
 mod makes_copies_for_archives;
 mod measures_images;
 mod orders_are_one_by_every_way;

@@ -11,7 +11,7 @@ use contract::{Address, Key, NodeTopic, Part, Role};
 use serde_json::Value;
 use test_support::{Harness, HarnessOptions, SITE, TELESCOPE, long_row, serve};
 
-const SILENT: &str = "node-silent/observatory/alpha";
+const SILENT: &str = "node-silent/observatory/main";
 /// Alerts that are sent before the observatory node dies and stay active all the time: a full disk, which each node
 /// reports, and a receiver that cannot be reached, which only the senders can know.
 const BEFORE: [&str; 2] = ["disk/data", "alert-not-sent/dead"];

@@ -130,8 +130,9 @@ catalogue! {
     Journal: records::JOURNAL,
     /// A frame was taken and the device node could not write it.
     SpoolCannotWrite: records::SPOOL_CANNOT_WRITE,
-    /// What a camera answered as its image cannot be read: it has lists of different length, fewer pixels than it says, or is no
-    /// image at all. The cause says what was wrong. It ends with the next image of that camera that can be read.
+    /// What a camera answered as its image cannot be read: it has lists of different length, fewer pixels than it says, as JSON
+    /// another size than was asked for, or is no image at all. The cause says what was wrong. It ends with the next image of that
+    /// camera that can be read.
     ImageUnreadable: devices::IMAGE_UNREADABLE,
     /// The archive's database does not take rows: its disk is full or read-only, or another program locks it.
     ArchiveDatabase: records::ARCHIVE_DATABASE,
