@@ -1,6 +1,6 @@
 //! The alerts of all nodes of this telescope, merged into one list, with what people did about them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -44,8 +44,17 @@ pub fn start(tasks: &mut Tasks, authority: &Arc<Authority>, orders: &OrderState)
     tasks.spawn("silent nodes", notify::keep_noticing_silence(node.clone(), || true));
 }
 
-/// The lists of the other nodes. Silence takes none back, only an end in good order: until a node that died is started again,
-/// or a person acknowledges them, its last alerts stand. Pure: time comes in.
+/// The alerts that a node published.
+fn of(list: &Alerts, node: &str) -> Alerts {
+    let mut list = list.clone();
+    for alert in &mut list.alerts {
+        (alert.node, alert.missed_since_utc) = (Some(node.to_owned()), None);
+    }
+    list
+}
+
+/// The lists of the other nodes. Silence takes none back, only an end in good order: until a node that died is started
+/// again, its last alerts stand. Pure: time comes in.
 #[derive(Default)]
 struct OtherLists {
     lists: BTreeMap<(Role, Name), (Alerts, MachineTime, BootId)>,
@@ -58,6 +67,7 @@ impl OtherLists {
         let has_room = self.lists.len() < MOST_NODES || self.lists.contains_key(&who);
         if has_room && self.ended.get(&who) != Some(boot_id) {
             list.alerts.truncate(MOST_ALERTS_OF_NODE);
+            let list = of(&list, &named(&who));
             self.lists.insert(who, (list, arrived, boot_id.clone()));
         }
     }
@@ -72,13 +82,23 @@ impl OtherLists {
         }
     }
 
-    /// The lists that stand, without what a person has acknowledged of those of silent nodes.
-    fn stand(&mut self, known: &Annunciator, now: MachineTime) -> impl Iterator<Item = Alerts> {
+    /// The lists that stand.
+    fn stand(&mut self, known: &Annunciator, (now, utc): (MachineTime, Utc)) -> impl Iterator<Item = Alerts> {
         for (alerts, ..) in self.lists.values_mut().filter(|(_, arrived, _)| now.since(*arrived) > SILENCE) {
-            known.stand_on(alerts);
+            known.stand_on(alerts, utc);
         }
         self.lists.values().map(|(alerts, ..)| alerts.clone())
     }
+
+    /// The nodes from which something was received.
+    fn heard(&self) -> impl Iterator<Item = String> {
+        self.lists.keys().chain(self.ended.keys()).map(named)
+    }
+}
+
+/// A node as alerts name it.
+fn named((role, id): &(Role, Name)) -> String {
+    format!("{role}/{id}")
 }
 
 /// Publishes the merged alerts at each change and every 10 s.
@@ -98,14 +118,17 @@ async fn keep_merging(
     let mut received = OtherLists::default();
     let mut published: Option<(Alerts, MachineTime)> = None;
     let mut speaks_since: Option<MachineTime> = None;
+    let name = named(&(authority.node.role, authority.node.id.clone()));
     loop {
-        let now = clock.machine();
-        let nodes = std::iter::once(own.borrow_and_update().clone());
-        let active = contract::observatory::merge(nodes.chain(received.stand(&annunciator.get(), now)));
+        let (now, utc) = (clock.machine(), clock.utc());
+        let nodes = std::iter::once(of(&own.borrow_and_update(), &name));
+        let active = contract::observatory::merge(nodes.chain(received.stand(&annunciator.get(), (now, utc))));
         if authority.is_publishing() {
             let began = *speaks_since.get_or_insert(now);
             let _ = orders.borrow_and_update();
-            let all = observe(&annunciator, &merged, &active, (now.since(began) > SILENCE, clock.utc()));
+            let is_settled = now.since(began) > SILENCE;
+            let heard: Option<BTreeSet<String>> = is_settled.then(|| received.heard().chain([name.clone()]).collect());
+            let all = observe(&annunciator, &merged, &active, (heard.as_ref(), utc));
             if published.as_ref().is_none_or(|(was, at)| *was != all || now.since(*at) >= Duration::from_secs(10)) {
                 line.put(all.clone()).await?;
                 published = Some((all, now));
@@ -134,16 +157,16 @@ async fn keep_merging(
     }
 }
 
-/// Takes the active alerts, and returns the ones to publish.
+/// Takes the active alerts, and returns the ones to publish. `heard` as in [`Annunciator::observe`].
 fn observe(
     annunciator: &Persisted<Annunciator>,
     merged: &watch::Sender<Option<Alerts>>,
     active: &Alerts,
-    (settled, utc): (bool, Utc),
+    (heard, utc): (Option<&BTreeSet<String>>, Utc),
 ) -> Alerts {
     annunciator.change(|known| {
         let was = known.clone();
-        known.observe(active, settled, utc);
+        known.observe(active, heard, utc);
         *known != was
     });
     let all = annunciator.get().published(utc);
@@ -158,6 +181,8 @@ fn observe(
 #[cfg(test)]
 mod tests {
     use contract::node::Stopped;
+    use contract::observatory::Alert;
+    use safety::ordered_by::OrderedBy;
 
     use super::*;
 
@@ -181,7 +206,8 @@ mod tests {
             let (first, second) = (boot_id("first"), boot_id("second"));
             let mut lists = OtherLists::default();
             let count = |lists: &mut OtherLists, second| {
-                lists.stand(&Annunciator::default(), at(second)).map(|list| list.alerts.len()).sum::<usize>()
+                let now = (at(second), Utc::EPOCH);
+                lists.stand(&Annunciator::default(), now).map(|list| list.alerts.len()).sum::<usize>()
             };
             lists.take(guest(), &first, list(), at(100));
             assert_eq!(count(&mut lists, 101), 1);
@@ -194,5 +220,40 @@ mod tests {
             lists.observe(guest(), &first, &state(last));
             assert_eq!(count(&mut lists, 9001), 1, "{last:?}: the end of its start before arrives late");
         }
+    }
+
+    #[test]
+    fn a_person_ends_the_message_about_a_node_that_died_and_no_restart_of_this_one_brings_it_back() {
+        let at = |second| MachineTime::from_boot(Duration::from_secs(second));
+        let utc = |second: u32| Utc::from_seconds(f64::from(second));
+        let x = || (Role::Device, "x".parse::<Name>().unwrap());
+        let boot_id = serde_json::from_value::<BootId>("first".into()).unwrap();
+        let alerts = vec![AlertKind::DomeNotClosed.alert("dome", utc(0), "c")];
+        let mut lists = OtherLists::default();
+        lists.take(x(), &boot_id, Alerts { alerts, ..Alerts::default() }, at(0));
+        let mut known = Annunciator::default();
+        let look = |known: &mut Annunciator, lists: &mut OtherLists, second: u32, is_settled: bool| {
+            let now = (at(u64::from(second)), utc(second));
+            let active = contract::observatory::merge(lists.stand(known, now));
+            let heard: BTreeSet<String> = lists.heard().collect();
+            known.observe(&active, is_settled.then_some(&heard), now.1);
+            let words = |alert: Alert| (alert.node, alert.acknowledged_by, alert.missed_since_utc);
+            known.published(now.1).alerts.into_iter().map(words).collect::<Vec<_>>()
+        };
+        let (node, by) = (Some("device/x".to_owned()), Some("web/ana".to_owned()));
+        assert_eq!(look(&mut known, &mut lists, 60, true), [(node.clone(), None, None)]);
+        let ordered_by = OrderedBy { from: "web/ana".to_owned(), reason: "known".to_owned(), at_utc: utc(60) };
+        known.acknowledge("dome-not-closed/dome", &ordered_by).unwrap();
+        let answered = [(node, by, Some(utc(61)))];
+        assert_eq!(look(&mut known, &mut lists, 61, true), answered, "it is silent");
+
+        let mut lists = OtherLists::default();
+        let text = serde_json::to_vec(&known).unwrap();
+        let mut known = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_boot_before();
+        for (second, is_settled) in [(70, false), (131, true), (9000, true)] {
+            assert_eq!(look(&mut known, &mut lists, second, is_settled), answered, "{second} s: after the restart");
+        }
+        lists.take(x(), &boot_id, Alerts::default(), at(9001));
+        assert!(look(&mut known, &mut lists, 9001, true).is_empty(), "its node says that it is over");
     }
 }

@@ -42,7 +42,7 @@ mod tests {
         assert_eq!(read(&path), Annunciator::default());
         let mut annunciator = Annunciator::default();
         let alerts = vec![AlertKind::DomeNotClosed.alert("d", at(0.0), "c")];
-        annunciator.observe(&Alerts { alerts, ..Alerts::default() }, true, at(0.0));
+        annunciator.observe(&Alerts { alerts, ..Alerts::default() }, None, at(0.0));
         annunciator.acknowledge("dome-not-closed/d", &ordered_by).unwrap();
         annunciator.shelve("dome-not-closed/d", 60.0, ordered_by).unwrap();
         crate::persisted::write_whole(&path, &folder.path().join("part"), &annunciator).unwrap();

@@ -131,9 +131,9 @@ impl Journal {
         let mut records = self.records();
         let mut on_the_way = std::mem::take(&mut records.on_the_way);
         *records = Records::of(&lines);
-        // Somebody turned the switch at the node that commanded meanwhile, and that was the last word.
+        // Somebody turned the switch at the node that commanded since then, and that was the last word.
         let turned = records.robotic.map(|(at, _)| at);
-        on_the_way.retain(|line| !line.is_switch() || turned.is_none_or(|turned| line.at() > turned));
+        on_the_way.retain(|line| !line.is_switch() || turned.is_none_or(|turned| line.at() >= turned));
         on_the_way.iter().filter(|line| !lines.contains(line)).for_each(|line| records.learn(line));
         records.on_the_way = on_the_way;
         Ok(())

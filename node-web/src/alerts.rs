@@ -62,7 +62,7 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
         };
         let known = found.values().find(|known| is_same(known)).map(|known| (known.id.clone(), known.standing()));
         if let Some(silent) = silent {
-            // It also merges those of the nodes that are silent, until a person has acknowledged them: if it has received them.
+            // It also merges those of the nodes that are silent, with what people did about them: if it has received them.
             if list.is_some_and(|list| has_heard(telescope, list, silent.arrived, now)) {
                 continue;
             }
@@ -298,13 +298,18 @@ mod tests {
         };
         let (empty, mut returned) = (json!([]), alert("dome-not-closed/dome", "critical"));
         let heard = merged(&empty, 8911.0);
-        assert_eq!(told(json!({}), &heard, 9000), None, "a person has acknowledged it");
+        assert_eq!(told(json!({}), &heard, 9000), None, "it knows that it is over");
         assert_eq!(told(json!({}), &heard, 9100), own(last), "nobody holds it any more");
         returned["returned_utc"] = json!("2027-01-15T10:20:00Z");
         for (list, why) in [(empty, "has never heard it"), (json!([returned]), "takes it for gone")] {
             let began_later = merged(&list, 8909.0);
             assert_eq!(told(json!({}), &began_later, 9000), own(last), "the observatory node {why}");
         }
+        let mut answered = alert("dome-not-closed/dome", "critical");
+        answered["acknowledged_by"] = json!("web/ana");
+        let restarted = merged(&json!([answered]), 5.0);
+        let seen_to = Some((Standing::SeenTo, "c".to_owned()));
+        assert_eq!(told(json!({}), &restarted, 9000), seen_to, "its answer outlives a restart of the observatory node");
         let again = [(alerts, 9000, json!({ "alerts": [] }))];
         assert_eq!(told(json!({}), &again, 9000), None, "it was started again");
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use bus::{Catch, MachineTime};
 use contract::node::{NodeState, fallen_silent};
-use contract::observatory::{AlertKind, Alerts, merge};
+use contract::observatory::{AlertKind, Alerts, LAST_WORD, merge};
 use contract::{Address, BootId, Key, Name, NodeTopic, Part, Role, Scalar, Stamped, Topic};
 use node::Node;
 use tokio::sync::watch;
@@ -109,29 +109,44 @@ impl Observatories {
         }
     }
 
-    /// Of those that are to run, the ones that publish no more: the incarnation `last` that published alerts last, and those
-    /// without a state for too long. The first one where that shows none, and where none was ever received, the usual one.
-    fn silent(&self, last: Option<&BootId>, now: MachineTime) -> BTreeMap<String, String> {
+    /// Causes by instance. Of those that are to run, the ones that publish no more: the incarnation `last` that published
+    /// alerts last, and those without a state for too long. Where that shows none, what was found `before` stands: a node
+    /// that is started again publishes its state first. None is named only because others are not known.
+    fn silent(
+        &self,
+        before: &BTreeMap<String, String>,
+        last: Option<&BootId>,
+        now: MachineTime,
+    ) -> BTreeMap<String, String> {
         let runs = || self.seen.iter().filter(|(_, seen)| !seen.state.ended_well());
         let is_silent = |seen: &SeenObservatory| Some(&seen.boot_id) == last || now.since(seen.arrived) > LOST;
-        let mut silent: Vec<_> = runs().filter(|(_, seen)| is_silent(seen)).collect();
-        if silent.is_empty() {
-            silent.extend(runs().next());
-        }
         let alert = |id: &str, host: &str| {
             let (instance, words) = of_telescope(Role::Observatory, id);
             (instance, fallen_silent(&words, host))
         };
-        if silent.is_empty() {
+        let silent = runs().filter(|(_, seen)| is_silent(seen));
+        let silent: BTreeMap<_, _> = silent.map(|(id, seen)| alert(id.as_str(), &seen.state.host)).collect();
+        if !silent.is_empty() {
+            return silent;
+        }
+        if !before.is_empty() {
+            return before.clone();
+        }
+        let names: Vec<&str> = runs().map(|(id, _)| id.as_str()).collect();
+        if names.is_empty() {
             return [alert(config::MAIN_NODE, "")].into();
         }
-        silent.into_iter().map(|(id, seen)| alert(id.as_str(), &seen.state.host)).collect()
+        let names = names.join(", ");
+        let cause = format!("no observatory node publishes alerts, although there are states of {names}");
+        [(Role::Observatory.to_string(), cause)].into()
     }
 
-    /// Has the incarnation that publishes alerts received what another node published last, which arrived at `last`?
+    /// Has the incarnation that publishes alerts received what another node published last, which arrived at `last`? What
+    /// is older than [`LAST_WORD`] is kept by nobody.
     fn has_heard(&self, sender: Option<&BootId>, last: MachineTime, now: MachineTime) -> bool {
         let its = self.seen.values().find(|seen| Some(&seen.boot_id) == sender);
-        its.is_some_and(|seen| seen.state.has_heard(now.since(seen.arrived), now.since(last)))
+        let has_received = |seen: &SeenObservatory| seen.state.has_heard(now.since(seen.arrived), now.since(last));
+        now.since(last) > LAST_WORD || its.is_some_and(has_received)
     }
 
     /// By the arrival of the newest alerts that one of them published.
@@ -256,7 +271,11 @@ async fn keep_watching(
         silent.send_replace(presence == Presence::Silent);
         if presence == Presence::Silent {
             if now.since(*silent_since.get_or_insert(now)) >= FIRST_BEGIN {
-                raised.extend(observatories.silent(sender, now));
+                let found = observatories.silent(&raised, sender, now);
+                for instance in raised.keys().filter(|instance| !found.contains_key(*instance)) {
+                    node.alerts.clear(AlertKind::NodeSilent, instance);
+                }
+                raised = found;
                 for (instance, cause) in &raised {
                     // The time of the silence was its delay.
                     node.alerts.raise_at_once(AlertKind::NodeSilent, instance, cause);
@@ -367,13 +386,14 @@ mod tests {
     #[test]
     fn a_silent_observatory_node_is_named_as_any_other_node_is() {
         let at = |s| MachineTime::from_boot(Duration::from_secs(s));
-        let silent = |seen: &[(&str, u64, Option<bool>)], last: Option<&str>| {
+        let follow = |before: &BTreeMap<_, _>, seen: &[(&str, u64, Option<bool>)], last: Option<&str>| {
             let mut known = observatories(at(0));
             for (id, arrived_s, stopped) in seen {
                 known.take(id.parse().unwrap(), &stamped(&format!("boot of {id}"), *stopped), at(*arrived_s));
             }
-            known.silent(last.map(boot).as_ref(), at(120))
+            known.silent(before, last.map(boot).as_ref(), at(120))
         };
+        let silent = |seen: &[_], last| follow(&BTreeMap::new(), seen, last);
         let ids = |seen: &[_], last| silent(seen, last).into_keys().collect::<Vec<_>>();
         let (main, second) = ("observatory/main", "observatory/second");
         let one = silent(&[("main", 119, None)], Some("boot of main"));
@@ -382,9 +402,20 @@ mod tests {
         let both = [("main", 104, None), ("second", 119, None)];
         assert_eq!(ids(&both, None), [main], "the standby goes on, and does not take over");
         assert_eq!(ids(&both, Some("boot of second")), [main, second], "it had taken over, and hangs");
-        assert_eq!(ids(&[("main", 119, Some(true)), ("second", 119, None)], None), [second], "main was stopped");
-        assert_eq!(ids(&[("main", 119, None)], Some("the one before")), [main], "it was started again, and hangs");
+        let stopped = [("main", 119, Some(true)), ("second", 104, None)];
+        assert_eq!(ids(&stopped, Some("boot of main")), [second], "main was stopped");
         assert_eq!(ids(&[], None), [main], "none was ever received");
+
+        let go_on = [("main", 119, None), ("second", 119, None)];
+        let nobody = silent(&go_on, None);
+        let cause = "no observatory node publishes alerts, although there are states of main, second";
+        assert_eq!(nobody, BTreeMap::from([("observatory".to_owned(), cause.to_owned())]), "whose state is fresh");
+        assert_eq!(ids(&[("main", 119, None)], Some("the one before")), ["observatory"], "it was started again");
+        let later = |before, seen: &[_], last| follow(before, seen, last).into_keys().collect::<Vec<_>>();
+        assert_eq!(later(&one, &go_on, Some("the one before")), [main], "it is on its way back");
+        let lost = [("main", 119, None), ("second", 104, None)];
+        assert_eq!(later(&one, &lost, None), [second], "the newest answer holds");
+        assert_eq!(later(&nobody, &lost, None), [second], "also where none was named");
     }
 
     #[test]
@@ -396,6 +427,9 @@ mod tests {
         let heard = |sender, last_s| known.has_heard(Some(&boot(sender)), at(last_s), at(200));
         assert_eq!([40, 59, 61, 150].map(|last_s| heard("own", last_s)), [false, false, true, true]);
         assert!(!heard("another incarnation", 150), "nothing is known of the one that publishes the alerts");
+        let long = LAST_WORD.as_secs();
+        let heard = [long, long + 1].map(|now_s| known.has_heard(Some(&boot("own")), at(0), at(now_s)));
+        assert_eq!(heard, [false, true], "what everybody has forgotten is over");
     }
 
     #[test]

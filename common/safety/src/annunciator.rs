@@ -10,7 +10,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use contract::observatory::{self as published, Alert, Alerts, Notification, Priority};
+use contract::observatory::{self as published, Alert, Alerts, LAST_WORD, Notification, Priority};
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -32,7 +32,8 @@ pub struct Annunciator {
     /// that ended.
     #[serde(default)]
     notifications: Vec<Notification>,
-    /// Ids from the incarnation before that this one has not received: their nodes may not have published yet.
+    /// Ids from the incarnation before that this one has not received: their nodes may not have published yet, or are
+    /// silent.
     #[serde(skip)]
     awaited: BTreeSet<String>,
 }
@@ -46,12 +47,14 @@ struct Shelved {
 }
 
 impl Annunciator {
-    /// Takes the alerts that all nodes publish now. With `settled`, every node had time to publish, so that an alert
-    /// that the incarnation before knew and no node publishes is gone.
-    pub fn observe(&mut self, active: &Alerts, settled: bool, now: Utc) {
+    /// Takes the alerts that all nodes publish now. `heard` are the nodes (`ROLE/NODE`) that this incarnation has received
+    /// from, once every node had time to publish: what the incarnation before knew from these, and none publishes, is
+    /// gone. What it knew from another node stands, since nobody was told that it ended.
+    pub fn observe(&mut self, active: &Alerts, heard: Option<&BTreeSet<String>>, now: Utc) {
         self.shelved.retain(|_, shelved| holds(shelved, now));
-        if settled {
-            self.awaited.clear();
+        if let Some(heard) = heard {
+            let alerts = &mut self.alerts;
+            self.awaited.retain(|id| alerts.get_mut(id).is_some_and(|alert| is_last_word(alert, heard, now)));
         }
         for alert in &active.alerts {
             self.awaited.remove(&alert.id);
@@ -98,13 +101,10 @@ impl Annunciator {
     }
 
     /// Silence takes nothing back: the shutter that a dead node could not close is still open. Of the last alerts of a
-    /// node that is away, only those that a person has acknowledged are dropped.
-    pub fn stand_on(&self, last: &mut Alerts) {
-        last.alerts.retain(|alert| !self.is_acknowledged(&alert.id));
-    }
-
-    fn is_acknowledged(&self, id: &str) -> bool {
-        self.alerts.get(id).is_some_and(|alert| alert.acknowledged_by.is_some())
+    /// node that is silent, those that a person has acknowledged are dropped when nobody remembers them any more.
+    pub fn stand_on(&self, last: &mut Alerts, now: Utc) {
+        let is_acknowledged = |id: &str| self.alerts.get(id).is_some_and(|alert| alert.acknowledged_by.is_some());
+        last.alerts.retain_mut(|alert| !(is_long_missed(alert, now) && is_acknowledged(&alert.id)));
     }
 
     /// Suppresses notifications of it for so many sky seconds.
@@ -181,6 +181,20 @@ impl Annunciator {
     }
 }
 
+/// Does it stand because nothing was received from its node? An acknowledged one does as long as pages and nodes that
+/// stand in remember it: without the acknowledgement it would be new to them.
+fn is_last_word(alert: &mut Alert, heard: &BTreeSet<String>, now: Utc) -> bool {
+    if alert.returned_utc.is_some() || alert.node.as_ref().is_none_or(|node| heard.contains(node)) {
+        return false;
+    }
+    !(is_long_missed(alert, now) && alert.acknowledged_by.is_some())
+}
+
+/// Is the node of this alert, which is silent, missed for longer than others remember it?
+fn is_long_missed(alert: &mut Alert, now: Utc) -> bool {
+    now.seconds_since(*alert.missed_since_utc.get_or_insert(now)) > LAST_WORD.as_secs_f64()
+}
+
 /// A clock that was set back cannot make a shelving last longer than an order may.
 fn holds(shelved: &Shelved, now: Utc) -> bool {
     let left_s = shelved.until_utc.seconds_since(now);
@@ -200,6 +214,8 @@ mod tests {
 
     const URGENT: AlertKind = AlertKind::DomeNotClosed;
     const MILD: AlertKind = AlertKind::CoolingFailed;
+    /// Every node had time to publish, and none has.
+    static NO_NODE: BTreeSet<String> = BTreeSet::new();
 
     fn at(seconds: f64) -> Utc {
         Utc::from_seconds(seconds)
@@ -233,14 +249,14 @@ mod tests {
                 Restart => {
                     let text = serde_json::to_vec(&annunciator).unwrap();
                     annunciator = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_boot_before();
-                    annunciator.observe(&Alerts::default(), false, at(now));
+                    annunciator.observe(&Alerts::default(), None, at(now));
                 }
                 Ack(kind) => annunciator.acknowledge(&kind.id("x"), &ordered_by(now)).unwrap(),
                 Shelve(kind, for_s) => annunciator.shelve(&kind.id("x"), for_s, ordered_by(now)).unwrap(),
                 Unshelve(kind) => annunciator.unshelve(&kind.id("x")).unwrap(),
                 Wait(seconds) => now += seconds,
             }
-            annunciator.observe(&active, false, at(now));
+            annunciator.observe(&active, None, at(now));
         }
         let published = annunciator.published(at(now)).alerts;
         let Some(alert) = published.first() else { return "-".to_owned() };
@@ -282,13 +298,13 @@ mod tests {
         let mut annunciator = Annunciator::default();
         annunciator.observe(
             &Alerts { alerts: vec![MILD.alert("x", at(0.0), "c")], ..Alerts::default() },
-            true,
+            Some(&NO_NODE),
             at(0.0),
         );
         let mut annunciator = annunciator.of_the_boot_before();
-        annunciator.observe(&Alerts::default(), false, at(1.0));
+        annunciator.observe(&Alerts::default(), None, at(1.0));
         assert_eq!(annunciator.published(at(1.0)).alerts.len(), 1);
-        annunciator.observe(&Alerts::default(), true, at(60.0));
+        annunciator.observe(&Alerts::default(), Some(&NO_NODE), at(60.0));
         assert_eq!(annunciator.published(at(60.0)).alerts.len(), 0);
     }
 
@@ -305,28 +321,29 @@ mod tests {
         let mut annunciator = Annunciator::default();
         annunciator.observe(
             &Alerts { alerts: alerts.clone(), notifications: vec![notification(AlertEvent::Raised, 1.0)] },
-            true,
+            Some(&NO_NODE),
             at(1.0),
         );
         let text = serde_json::to_vec(&annunciator).unwrap();
         let mut next = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_boot_before();
         // Its own nodes have not published yet.
-        next.observe(&Alerts::default(), false, at(2.0));
+        next.observe(&Alerts::default(), None, at(2.0));
         assert_eq!(next.published(at(2.0)).notifications, [notification(AlertEvent::Raised, 1.0)]);
         let standby = Annunciator::from_published(&annunciator.published(at(2.0)), &[]);
         assert_eq!(standby.published(at(2.0)), annunciator.published(at(2.0)));
         // A later notification takes the place of it, and an older one does not.
         next.observe(
             &Alerts { alerts: alerts.clone(), notifications: vec![notification(AlertEvent::Acknowledged, 3.0)] },
-            true,
+            Some(&NO_NODE),
             at(3.0),
         );
-        next.observe(&Alerts { alerts, notifications: vec![notification(AlertEvent::Raised, 1.0)] }, true, at(4.0));
+        let older = vec![notification(AlertEvent::Raised, 1.0)];
+        next.observe(&Alerts { alerts, notifications: older }, Some(&NO_NODE), at(4.0));
         assert_eq!(next.published(at(4.0)).notifications, [notification(AlertEvent::Acknowledged, 3.0)]);
         next.acknowledge(&URGENT.id("d"), &ordered_by(5.0)).unwrap();
         next.observe(
             &Alerts { alerts: Vec::new(), notifications: vec![notification(AlertEvent::Acknowledged, 3.0)] },
-            true,
+            Some(&NO_NODE),
             at(6.0),
         );
         assert_eq!(next.published(at(6.0)), Alerts::default(), "an alert that is over was sent for the last time");
@@ -340,7 +357,7 @@ mod tests {
                 alerts: vec![URGENT.alert("d", at(0.0), "c"), MILD.alert("x", at(0.0), "c")],
                 ..Alerts::default()
             },
-            true,
+            Some(&NO_NODE),
             at(0.0),
         );
         annunciator.acknowledge("dome-not-closed/d", &ordered_by(1.0)).unwrap();
@@ -348,7 +365,7 @@ mod tests {
         let mut next = Annunciator::from_published(&annunciator.published(at(2.0)), &annunciator.shelf());
         assert_eq!(next.published(at(2.0)), annunciator.published(at(2.0)));
         // Its own nodes have not published yet.
-        next.observe(&Alerts::default(), false, at(3.0));
+        next.observe(&Alerts::default(), None, at(3.0));
         assert_eq!(next.published(at(3.0)), annunciator.published(at(3.0)));
         assert_eq!(next.shelf(), annunciator.shelf());
     }
@@ -358,7 +375,7 @@ mod tests {
         let mut annunciator = Annunciator::default();
         annunciator.observe(
             &Alerts { alerts: vec![MILD.alert("cam", at(0.0), "c")], ..Alerts::default() },
-            true,
+            Some(&NO_NODE),
             at(0.0),
         );
         let errors = [
@@ -382,17 +399,63 @@ mod tests {
     }
 
     #[test]
-    fn silence_takes_nothing_back_but_what_a_person_knows_of() {
-        let now = at(0.0);
-        let alert = URGENT.alert("dome", now, "the shutter sticks");
-        let mut alerts = Alerts { alerts: vec![alert.clone()], ..Alerts::default() };
+    fn silence_takes_nothing_back_and_what_a_person_knows_of_stands_as_long_as_others_remember_it() {
+        let alert = URGENT.alert("dome", at(0.0), "the shutter sticks");
+        let mut last = Alerts { alerts: vec![alert.clone()], ..Alerts::default() };
         let mut known = Annunciator::default();
-        known.observe(&alerts, true, now);
-        known.stand_on(&mut alerts);
-        assert_eq!(alerts.alerts.len(), 1);
+        let mut stands = |known: &mut Annunciator, now| {
+            known.stand_on(&mut last, at(now));
+            known.observe(&last, Some(&NO_NODE), at(now));
+            known.published(at(now)).alerts.pop().map(|alert| alert.acknowledged_by.is_some())
+        };
+        let long = LAST_WORD.as_secs_f64();
+        assert_eq!([0.0, 1.0 + long].map(|now| stands(&mut known, now)), [Some(false); 2], "nobody knows of it");
+        known.acknowledge(&alert.id, &ordered_by(1.0 + long)).unwrap();
+        assert_eq!(stands(&mut known, 1.0 + long), None, "it is forgotten elsewhere");
+
+        let mut last = Alerts { alerts: vec![alert.clone()], ..Alerts::default() };
+        let mut known = Annunciator::default();
+        known.observe(&last, Some(&NO_NODE), at(0.0));
         known.acknowledge(&alert.id, &ordered_by(0.0)).unwrap();
-        known.stand_on(&mut alerts);
-        known.observe(&alerts, true, now);
-        assert_eq!((alerts.alerts.len(), known.published(now).alerts.len()), (0, 0));
+        for (now, wanted) in [(1.0, 1), (1.0 + long, 1), (2.0 + long, 0)] {
+            known.stand_on(&mut last, at(now));
+            known.observe(&last, Some(&NO_NODE), at(now));
+            assert_eq!(known.published(at(now)).alerts.len(), wanted, "{now}");
+        }
+    }
+
+    #[test]
+    fn the_last_word_of_a_node_that_died_before_a_restart_stands_with_its_answer_until_that_node_is_heard() {
+        let long = LAST_WORD.as_secs_f64();
+        let (x, other) = (BTreeSet::from(["device/x".to_owned()]), BTreeSet::from(["device/other".to_owned()]));
+        // At 9 s every node had time to publish.
+        let play = |kind: AlertKind, node: Option<&str>, acknowledged: bool, heard: &BTreeSet<String>, until: f64| {
+            let alert = Alert { node: node.map(str::to_owned), ..kind.alert("x", at(0.0), "c") };
+            let mut before = Annunciator::default();
+            before.observe(&Alerts { alerts: vec![alert], ..Alerts::default() }, Some(&NO_NODE), at(0.0));
+            if acknowledged {
+                before.acknowledge(&kind.id("x"), &ordered_by(1.0)).unwrap();
+            }
+            let text = serde_json::to_vec(&before).unwrap();
+            let mut known = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_boot_before();
+            known.observe(&Alerts::default(), None, at(2.0));
+            known.observe(&Alerts::default(), Some(&other), at(9.0));
+            known.observe(&Alerts::default(), Some(heard), at(until));
+            let published = known.published(at(until)).alerts.pop();
+            published.map(|alert| (alert.acknowledged_by.is_some(), alert.returned_utc.is_some()))
+        };
+        let dead = Some("device/x");
+        for (name, result, wanted) in [
+            ("nobody knows of it", play(URGENT, dead, false, &other, 10.0), Some((false, false))),
+            ("nor ever", play(URGENT, dead, false, &other, 10.0 + long), Some((false, false))),
+            ("a mild one, too", play(MILD, dead, false, &other, 10.0), Some((false, false))),
+            ("somebody sees to it", play(URGENT, dead, true, &other, 10.0), Some((true, false))),
+            ("until all have forgotten it", play(URGENT, dead, true, &other, 10.0 + long), None),
+            ("its node is back without it", play(URGENT, dead, true, &x, 10.0), None),
+            ("and nobody knew of it", play(URGENT, dead, false, &x, 10.0), Some((false, true))),
+            ("a record without a node", play(URGENT, None, false, &other, 10.0), Some((false, true))),
+        ] {
+            assert_eq!(result, wanted, "{name}");
+        }
     }
 }

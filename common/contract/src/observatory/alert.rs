@@ -1,10 +1,15 @@
 //! What needs a person.
 
+use std::time::Duration;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
 use crate::Payload;
+
+/// So long a page remembers the alerts of a node that fell silent: what people answered to them is kept as long.
+pub const LAST_WORD: Duration = Duration::from_secs(14 * 24 * 3600);
 
 /// How urgent an alert is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize)]
@@ -120,6 +125,12 @@ pub struct Alert {
     /// Why.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shelved_reason: Option<String>,
+    /// In the observatory node's list: the node that reported it, as `ROLE/NODE`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub node: Option<String>,
+    /// Sky time since when that node is missed: the alert is the last that is known from it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub missed_since_utc: Option<Utc>,
 }
 
 /// Whom an alert needs, in the order in which people should see them.

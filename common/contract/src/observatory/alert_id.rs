@@ -39,6 +39,8 @@ impl AlertKind {
             shelved_by: None,
             shelved_until_utc: None,
             shelved_reason: None,
+            node: None,
+            missed_since_utc: None,
         }
     }
 

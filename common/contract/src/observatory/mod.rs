@@ -22,7 +22,7 @@ mod schedule_texts;
 mod solution;
 
 pub use action::{ActionAnswer, ActionKind, ActionQuestion};
-pub use alert::{Alert, AlertEvent, Alerts, Notification, Priority, Standing, merge};
+pub use alert::{Alert, AlertEvent, Alerts, LAST_WORD, Notification, Priority, Standing, merge};
 pub use alerts_page::markdown;
 pub use catalogue::AlertKind;
 pub use facts::{FrameFacts, Trigger, TriggerKind};
