@@ -5,7 +5,6 @@ use std::time::Instant;
 
 use contract::device::telescope::PierSide;
 use contract::observatory::{CalibrationSource, Correction, GuideCalibration, GuideStage};
-use node_observatory::replicated::Replicate as _;
 use units::Angle;
 
 use crate::MOST;
@@ -99,55 +98,6 @@ async fn pulses_teach_what_they_do_and_a_field_is_held_by_it_until_its_last_fram
     let corrections = sim.corrections().await;
     assert!(corrections.iter().any(|correction| correction.stage == GuideStage::Guide), "{corrections:#?}");
     assert!(corrections.iter().any(|correction| correction.frame == last), "no correction of {last}: {corrections:#?}");
-    sim.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_proven_row_is_held_on_both_sides_also_by_a_mount_that_goes_south_by_north_pulses_on_one() {
-    let mut options = telescope(20.0);
-    options.camera.position_angle = Angle::from_degrees(70.0);
-    (options.mount.drift_arcsec_per_min, options.mount.scatter_arcsec) = ((-0.5, 1.2), 1.0);
-    options.mount.dec_pulses_reverse_west = true;
-    let truth = by_geometry(&options.camera);
-    let more = "[imaging]\ncatalogue = \"sky.smcat\"\n[guiding]\ndec_reversed_after_flip = true\n";
-    let mut sim = Sim::new(options, more).await;
-    // Far in the east, and the tube stays on the side where it was parked: nothing here waits for the meridian, and no
-    // machine is too slow to be there before.
-    let field = sim.place(-3.0, -10.0);
-    sim.simulator.world().ignore_flips(true);
-    sim.write_catalogue(field);
-    let row = endless(field, r#""exptime": 20, "pointing": true, "guiding": true"#);
-    sim.write_schedule(&[("object", &row)], 18_000.0);
-    sim.start().await;
-    let mut corrections = Vec::new();
-    // A drift to the north is to be taken back, whatever the motor calls that.
-    let is_held = |on_side: &[Correction]| on_side.len() >= 4 && on_side.iter().any(|c| c.north.given_ms != 0);
-    collect(&sim, &mut corrections, |all| is_held(&sides(all)[1])).await;
-    // As from the handbox: to where it points already, and now by way of the pole.
-    sim.simulator.world().ignore_flips(false);
-    sim.slew_by_hand(field).await;
-    collect(&sim, &mut corrections, |all| is_held(&sides(all)[0])).await;
-    let held = corrections.iter().filter(|c| c.stage == GuideStage::Guide);
-    let references: std::collections::BTreeSet<&str> = held.map(|c| c.reference.0.as_str()).collect();
-    assert_eq!(references.len(), 2, "each side has its own");
-    // Solved frames of each side taught it, and where the motor is left as it was, North is what South is on the sky.
-    let file = sim.data().join("guiding-alpha.json");
-    let learned =
-        |side| node_observatory::guiding::learned::LearnedGuiding::read(&file).calibration("camera", Some(side), true);
-    for (side, east, north) in [(PierSide::East, 1.0, 1.0), (PierSide::West, -1.0, 1.0)] {
-        let is_of_side = |_: &Sim| {
-            learned(side)
-                .is_some_and(|made| (made.source, made.pier_side) == (CalibrationSource::PlateSolution, Some(side)))
-        };
-        sim.until("learned on this side", MOST, is_of_side).await;
-        let made = learned(side).unwrap();
-        let turned = |way: [f64; 2], sense: f64| way.map(|v| sense * v);
-        let off_deg = [
-            apart(made.east_px_per_s, turned(truth.east_px_per_s, east)).0,
-            apart(made.north_px_per_s, turned(truth.north_px_per_s, north)).0,
-        ];
-        assert!(off_deg.iter().all(|off| *off < 1.0), "{side:?}: {off_deg:?} deg off, {made:?}");
-    }
     sim.stop().await;
 }
 

@@ -46,7 +46,9 @@ async fn a_row_at_work_is_skipped_after_its_frame_and_rows_run_again_by_order_al
     ]);
     site.shutter_of_camera.hold_after(1);
     let node = site.start().await;
-    site.until("in the second frame", MOST, |site| site.exposures() == 1 && site.is_exposing()).await;
+    let is_at_work = |site: &Site| statuses(site).first() == Some(&RowStatus::Running);
+    let in_second = |site: &Site| is_at_work(site) && site.exposures() == 1 && site.is_exposing();
+    site.until("in the second frame", MOST, in_second).await;
     let (reason, why) = refused(&site, repeat(0)).await;
     assert_eq!((reason, why.as_str()), (Reason::WrongState, "row 1 is under way; to begin it anew, skip it first"));
     accepted(&site, skip(0)).await;
