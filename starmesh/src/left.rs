@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use contract::Role;
+use node::FileLock;
 use serde::{Deserialize, Serialize};
 
 use crate::process::Process;
@@ -48,7 +49,7 @@ pub struct Left {
     path: PathBuf,
     processes: std::sync::Mutex<Processes>,
     /// Locked as long as this process runs; nothing where the file system has no locks.
-    _lock: Option<File>,
+    _lock: Option<FileLock>,
 }
 
 /// The file of a configuration: one, by whichever link that is named.
@@ -73,12 +74,12 @@ struct AlreadyLocked;
 
 /// Locks the file that says that an `up` runs; `None` where that cannot be done, which is complained about: a dome is not
 /// left without its nodes for that.
-fn lock(path: &Path) -> Result<Option<File>, AlreadyLocked> {
+fn lock(path: &Path) -> Result<Option<FileLock>, AlreadyLocked> {
     let at = path.with_extension("up-lock");
     let opened = OpenOptions::new().write(true).create(true).truncate(false).open(&at);
-    let locked = or_read_only(opened, &at).map_err(TryLockError::Error).and_then(|file| file.try_lock().map(|()| file));
+    let locked = or_read_only(opened, &at).map_err(TryLockError::Error).and_then(FileLock::of);
     match locked {
-        Ok(file) => Ok(Some(file)),
+        Ok(lock) => Ok(Some(lock)),
         Err(TryLockError::WouldBlock) => Err(AlreadyLocked),
         Err(TryLockError::Error(error)) => {
             node::lines::complain(format_args!(

@@ -22,6 +22,7 @@ mod console;
 mod diary;
 mod disk;
 mod figures;
+mod file_lock;
 pub mod file_writer;
 mod flood;
 mod host;
@@ -43,6 +44,7 @@ pub mod watchdog;
 
 pub use alerts::{NodeAlerts, StandingAlerts};
 pub use disk::free_gb;
+pub use file_lock::FileLock;
 pub use host::{host_name, kernel_boot_id, now_s};
 pub use looks::Looks;
 pub use node::{Node, SUPERVISOR};

@@ -13,6 +13,7 @@ use std::time::Duration;
 use anyhow::{Context as _, bail};
 use config::{Delivery, Observatory};
 use contract::CommandId;
+use node::FileLock;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use sky::NightDate;
@@ -49,7 +50,7 @@ pub struct Record {
 /// The right to deliver to a destination; it ends when this is dropped, or with the process.
 #[derive(Debug)]
 pub struct DeliveryTurn {
-    _lock: Option<File>,
+    _lock: Option<FileLock>,
 }
 
 /// The folder of the records of a telescope.
@@ -67,8 +68,8 @@ pub fn take_turn(config: &Observatory, destination: &str) -> anyhow::Result<Deli
     let path = folder.join("lock");
     let cannot = || format!("cannot open {}", path.display());
     let file = File::options().write(true).create(true).truncate(false).open(&path).with_context(cannot)?;
-    match file.try_lock() {
-        Ok(()) => Ok(DeliveryTurn { _lock: Some(file) }),
+    match FileLock::of(file) {
+        Ok(lock) => Ok(DeliveryTurn { _lock: Some(lock) }),
         Err(TryLockError::WouldBlock) => bail!(
             "another process delivers to {destination} at this moment, probably the archive node: wait until it is done"
         ),
