@@ -41,7 +41,7 @@ async fn a_row_at_work_is_skipped_after_its_frame_and_rows_run_again_by_order_al
     let object = r#"{"object": "x", "exptime": 10, "ra": 45.0, "dec": -24.6, "n": 3}"#;
     site.write_schedule(&[
         ("object", object, "03:00:00", "08:00:00"),
-        ("calibration", r#"{"exptime": [0], "n": [2]}"#, "03:00:01", "08:00:00"),
+        ("calibration", r#"{"exptime": [0], "n": [2]}"#, "03:20:00", "08:00:00"),
         ("calibration", r#"{"exptime": [0], "n": [1]}"#, "07:00:00", "08:00:00"),
     ]);
     site.shutter_of_camera.hold_after(1);
