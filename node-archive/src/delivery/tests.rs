@@ -121,6 +121,14 @@ impl Site {
     }
 }
 
+/// A folder on another disk than that of the tests.
+fn on_another_disk() -> tempfile::TempDir {
+    let disk = |folder: &Path| std::os::unix::fs::MetadataExt::dev(&fs::metadata(folder).unwrap());
+    let (memory, program) = (Path::new("/dev/shm"), std::env::current_exe().unwrap());
+    let is_other = disk(memory) != disk(&std::env::temp_dir());
+    tempfile::tempdir_in(if is_other { memory } else { program.parent().unwrap() }).unwrap()
+}
+
 fn at(second: i64) -> Utc {
     // 2026-11-22T03:00:00Z
     Utc::from_micros((1_795_316_400 + second) * 1_000_000)
@@ -284,7 +292,7 @@ async fn a_second_process_does_not_deliver_to_the_same_destination_at_a_time() {
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread")]
 async fn files_leave_the_archive_only_for_a_destination_on_another_disk_that_has_them() {
-    let elsewhere = tempfile::tempdir_in("/dev/shm").unwrap();
+    let elsewhere = on_another_disk();
     let folder = elsewhere.path().display();
     let site = Site::new(&format!("[[delivery]]\nname = \"s\"\ndirectory = \"{folder}\"\n"));
     let there = elsewhere.path().join("paranal/callisto/20261121");
@@ -319,7 +327,7 @@ async fn files_leave_the_archive_only_for_a_destination_on_another_disk_that_has
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_night_whose_disk_is_away_is_not_one_whose_files_have_left() {
-    let elsewhere = tempfile::tempdir_in("/dev/shm").unwrap();
+    let elsewhere = on_another_disk();
     let folder = elsewhere.path().display();
     let site = Site::new(&format!("[[delivery]]\nname = \"s\"\ndirectory = \"{folder}\"\n"));
     site.store(&[(1, "light")], true).await;
@@ -369,7 +377,7 @@ async fn a_night_whose_disk_is_away_is_not_exported_as_one_without_files() {
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_of_images_that_has_moved_is_exported_delivered_and_removed_where_it_is() {
-    let elsewhere = tempfile::tempdir_in("/dev/shm").unwrap();
+    let elsewhere = on_another_disk();
     let folder = elsewhere.path().display();
     let mut site = Site::new(&format!("[[delivery]]\nname = \"s\"\ndirectory = \"{folder}\"\n"));
     site.store(&[(1, "light"), (2, "light")], true).await;

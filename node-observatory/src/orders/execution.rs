@@ -30,7 +30,7 @@ use crate::schedule_file::versions::Author;
 use crate::schedule_file::{self, ScheduleFile};
 
 /// An order that acted at once is answered when the disk has taken or refused it and it is on the bus, or after this.
-const SETTLED: Duration = Duration::from_secs(1);
+const SETTLED: Duration = Duration::from_secs(2);
 
 /// A set point that is corrected at once waits so long for the camera to end the one before it; an exposure may last.
 const COOLER_TURN: Duration = Duration::from_secs(5);

@@ -113,7 +113,7 @@ async fn what_was_delivered_to_one_place_is_not_delivered_to_another() {
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_file_that_was_about_to_leave_when_the_node_was_killed_comes_back() {
-    let elsewhere = tempfile::tempdir_in("/dev/shm").unwrap();
+    let elsewhere = on_another_disk();
     let site = Site::new(&format!("[[delivery]]\nname = \"s\"\ndirectory = \"{}\"\n", elsewhere.path().display()));
     site.store(&[(1, "light"), (2, "light")], true).await;
     site.deliver().await;

@@ -230,7 +230,7 @@ async fn a_destination_gets_the_programmes_that_it_asks_for() {
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread")]
 async fn files_leave_the_archive_for_copies_that_were_made_of_them() {
-    let elsewhere = tempfile::tempdir_in("/dev/shm").unwrap();
+    let elsewhere = on_another_disk();
     let site = Site::new(&LCO.replace("\"there\"", &format!("\"{}\"", elsewhere.path().display())));
     site.store_fits(&[(1, Some("2026A-001")), (2, Some("2026A-001"))]).await;
     assert!(site.deliver().await.manifest.is_some());
