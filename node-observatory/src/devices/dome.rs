@@ -42,8 +42,8 @@ pub struct Dome {
     stands_deg: Mutex<Option<f64>>,
     /// This node had it opened, and it was not proven closed since.
     was_opened: AtomicBool,
-    /// Whoever let the guard close had the time to ask this node, too.
-    may_be_resumed: AtomicBool,
+    /// In the opening that began last, whoever let the guard close had the time to ask this node, too.
+    was_asked: AtomicBool,
     /// How it waits.
     sleep: fn(Duration) -> Sleep,
 }
@@ -92,7 +92,7 @@ impl Dome {
             turning_fails: AtomicBool::new(false),
             stands_deg: Mutex::new(None),
             was_opened: AtomicBool::new(false),
-            may_be_resumed: AtomicBool::new(false),
+            was_asked: AtomicBool::new(false),
             sleep: tokio::time::sleep,
         })
     }
@@ -210,21 +210,28 @@ impl Dome {
         self.guard.fresh(GUARD_AGE).is_some_and(|guard| guard.sample.body.hold)
     }
 
-    /// Where a guard holds it shut, whoever let it close may ask this node, too: waits so long, once, and gives true.
-    /// Nothing is to move before.
+    /// For the begin of an opening. Where a guard holds it shut, whoever let it close may ask this node, too: waits so long,
+    /// and gives true. Nothing is to move before.
     pub async fn until_asked(&self) -> bool {
         let is_held = self.is_held();
-        if !is_held || !self.may_be_resumed.load(Ordering::Relaxed) {
-            until_asked(is_held, self.sleep).await;
-            self.may_be_resumed.store(is_held, Ordering::Relaxed);
+        if is_held {
+            tracing::info!(
+                wait_s = ASKED_WITHIN.as_secs(),
+                "opening waits, in case whoever let a guard close asks this node, too"
+            );
+            (self.sleep)(ASKED_WITHIN).await;
         }
+        self.was_asked.store(is_held, Ordering::Relaxed);
         is_held
     }
 
     /// Ends a hold of the guard, whenever it began; false where something keeps the dome shut by then.
     async fn end_hold(&self, may: impl Fn() -> Result<bool, ActionError>) -> Result<bool, ActionError> {
-        if !self.until_asked().await {
+        if !self.is_held() {
             return Ok(true);
+        }
+        if !self.was_asked.load(Ordering::Relaxed) {
+            self.until_asked().await;
         }
         // What came in this time counts, and what comes while the hold is ended.
         if !may()? {
@@ -232,19 +239,8 @@ impl Dome {
         }
         tracing::info!(dome = %self.instrument.device.name, "the guard had closed; taking over again");
         self.instrument.ask(Command::Resume).await?;
-        self.may_be_resumed.store(false, Ordering::Relaxed);
+        self.was_asked.store(false, Ordering::Relaxed);
         may()
-    }
-}
-
-/// Where a guard holds its dome shut, whoever let it close may ask this node, too: waits so long.
-async fn until_asked<S: Future<Output = ()>>(is_held: bool, sleep: impl FnOnce(Duration) -> S) {
-    if is_held {
-        tracing::info!(
-            wait_s = ASKED_WITHIN.as_secs(),
-            "opening waits, in case whoever let a guard close asks this node, too"
-        );
-        sleep(ASKED_WITHIN).await;
     }
 }
 
@@ -276,7 +272,6 @@ mod tests {
 
     use bus::Clock;
     use contract::{Accepted, Address, CommandId, DeviceState, Kind, Refusal, Reply};
-    use futures_util::FutureExt as _;
     use test_support::{LIMIT, dome_state, join, private_bus};
     use tokio::sync::watch;
 
@@ -323,19 +318,6 @@ mod tests {
         assert!(!refusals.may_go_on(at(1560), most));
     }
 
-    #[test]
-    fn opening_waits_for_whoever_let_a_guard_close_and_for_nobody_else() {
-        for (is_held, slept) in [(true, Some(ASKED_WITHIN)), (false, None)] {
-            let mut sleeps = None;
-            let sleep = |time| {
-                sleeps = Some(time);
-                std::future::ready(())
-            };
-            assert_eq!(until_asked(is_held, sleep).now_or_never(), Some(()));
-            assert_eq!(sleeps, slept);
-        }
-    }
-
     #[tokio::test(flavor = "multi_thread")]
     async fn what_comes_before_a_hold_is_ended_leaves_it_to_the_guard_also_where_it_began_late() {
         let bus = private_bus(Clock::machine_clock()).await;
@@ -367,9 +349,16 @@ mod tests {
             _ => Err(ActionError::Unanswered { device: "roof".to_owned(), verb: "ordered to close".to_owned() }),
         };
         let opening = async {
+            assert!(
+                !dome.until_asked().await && WAITED.get().is_zero(),
+                "nobody is waited for where no guard holds it"
+            );
             while !dome.is_held() {
                 tokio::time::sleep(Duration::from_millis(20)).await;
             }
+            // Each opening waits anew at its begin, also after one that was given up.
+            assert!(dome.until_asked().await && dome.until_asked().await && WAITED.take() == 2 * ASKED_WITHIN);
+            dome.was_asked.store(false, Ordering::Relaxed);
             states.put(dome_state(Shutter::Closed)).await.unwrap();
             dome.open(may).await
         };
