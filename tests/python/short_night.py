@@ -12,6 +12,7 @@ import re
 import signal
 import sqlite3
 import subprocess
+import sys
 import time
 import urllib.parse
 import urllib.request
@@ -139,6 +140,8 @@ class Night:
         self.processes: list[subprocess.Popen] = []
 
     def __enter__(self):
+        # What it starts has sessions of its own, and would outlive a test command that somebody ends.
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
         return self
 
     def begin(self):
