@@ -33,7 +33,7 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
         let message = line.text();
         let write = Write::Log {
             telescope: address.telescope.to_string(),
-            node: format!("{role}/{id}"),
+            node: contract::node::name(role, &id),
             target: line.target,
             level: line.level,
             message,

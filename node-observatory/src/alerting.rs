@@ -67,7 +67,7 @@ impl OtherLists {
         let has_room = self.lists.len() < MOST_NODES || self.lists.contains_key(&who);
         if has_room && self.ended.get(&who) != Some(boot_id) {
             list.alerts.truncate(MOST_ALERTS_OF_NODE);
-            let list = of(&list, &named(&who));
+            let list = of(&list, &contract::node::name(who.0, &who.1));
             self.lists.insert(who, (list, arrived, boot_id.clone()));
         }
     }
@@ -92,13 +92,8 @@ impl OtherLists {
 
     /// The nodes from which something was received.
     fn heard(&self) -> impl Iterator<Item = String> {
-        self.lists.keys().chain(self.ended.keys()).map(named)
+        self.lists.keys().chain(self.ended.keys()).map(|(role, id)| contract::node::name(*role, id))
     }
-}
-
-/// A node as alerts name it.
-fn named((role, id): &(Role, Name)) -> String {
-    format!("{role}/{id}")
 }
 
 /// Publishes the merged alerts at each change and every 10 s.
@@ -118,7 +113,7 @@ async fn keep_merging(
     let mut received = OtherLists::default();
     let mut published: Option<(Alerts, MachineTime)> = None;
     let mut speaks_since: Option<MachineTime> = None;
-    let name = named(&(authority.node.role, authority.node.id.clone()));
+    let name = contract::node::name(authority.node.role, &authority.node.id);
     loop {
         let (now, utc) = (clock.machine(), clock.utc());
         let nodes = std::iter::once(of(&own.borrow_and_update(), &name));

@@ -278,15 +278,20 @@ impl Journal {
     ///
     /// The disk does not take it; the error names the file.
     pub fn write_switch(&self) -> io::Result<()> {
-        let unwritten = || self.records().on_the_way.iter().find(|line| line.is_switch()).cloned();
-        if unwritten().is_none() {
+        if !self.records().on_the_way.iter().any(JournalLine::is_switch) {
             return Ok(());
         }
         // Looked for again once the file is locked: it may have been turned on while another line was written.
         let mut file = self.file();
-        while let Some(line) = unwritten() {
-            self.put_down(&mut file, &line).map_err(|error| named(&self.path, &error))?;
-            self.records().on_the_way.retain(|sent| *sent != line);
+        self.write_waiting(&mut file, JournalLine::is_switch).map_err(|error| named(&self.path, &error))
+    }
+
+    /// Writes those of the waiting lines.
+    fn write_waiting(&self, file: &mut Option<File>, of: impl Fn(&JournalLine) -> bool) -> io::Result<()> {
+        let first = || self.records().on_the_way.iter().find(|line| of(line)).cloned();
+        while let Some(line) = first() {
+            self.put_down(file, &line)?;
+            self.records().arrived(&line);
         }
         Ok(())
     }
@@ -315,11 +320,7 @@ impl Journal {
     /// take this one for undone.
     fn learn_when_written(&self, line: JournalLine) -> io::Result<()> {
         let mut file = self.file();
-        let waiting = || self.records().on_the_way.first().cloned();
-        while let Some(before) = waiting() {
-            self.put_down(&mut file, &before)?;
-            self.records().arrived(&before);
-        }
+        self.write_waiting(&mut file, |_| true)?;
         self.put_down(&mut file, &line)?;
         let mut records = self.records();
         records.learn(&line);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use bus::MachineTime;
-use contract::node::{NodeState, fallen_silent, silent_instance};
+use contract::node::{self, NodeState, fallen_silent};
 use contract::observatory::{Alert, AlertKind, Alerts, Priority, Standing};
 use contract::{Key, Name, NodeTopic, Part, Role};
 use schemars::JsonSchema;
@@ -88,7 +88,7 @@ pub fn active(telescope: &Telescope, shared: Vec<Alert>, now: MachineTime) -> Ve
         if entry.quality(now) == Quality::Lost && !has_ended_well(entry) {
             let host = entry.body.get("host").and_then(Value::as_str).unwrap_or_default();
             let cause = fallen_silent(&format!("the {role} node {id}"), host);
-            let alert = AlertKind::NodeSilent.alert(silent_instance(*role, id.as_str()), entry.at_utc, &cause);
+            let alert = AlertKind::NodeSilent.alert(node::name(*role, id), entry.at_utc, &cause);
             if found.get(&alert.id).is_none_or(|known| known.standing() == Standing::Gone) {
                 found.insert(alert.id.clone(), alert);
             }

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use bus::{MachineTime, Received};
 use contract::node::{DiaryLine, NodeState};
-use contract::observatory::FrameFacts;
+use contract::observatory::{FrameFacts, LAST_WORD};
 use contract::{Address, CommandId, Key, Name, NodeTopic, Role, Stamped};
 use interlock::Succession;
 use schemars::JsonSchema;
@@ -40,8 +40,6 @@ const MOST_UNREADABLE: usize = 20;
 const UNREADABLE_FOR: Duration = Duration::from_secs(60);
 /// What ended in good order and has been silent for so long was taken away.
 const FORGET_AFTER: Duration = Duration::from_secs(24 * 3600);
-/// What fell silent is a fault for so long.
-const FORGET_SILENT_AFTER: Duration = Duration::from_secs(14 * 24 * 3600);
 /// The memory that the succession of an entry takes at most: it remembers eight incarnations with ids of 128 bytes.
 /// So many announced frames are remembered per telescope, none of which weighs more than this.
 const MOST_FRAMES: usize = 100;
@@ -251,7 +249,7 @@ impl Model {
             Key::Node(_, role, id, NodeTopic::Diary) => match DiaryLine::deserialize(&received.sample.body) {
                 Ok(line) => telescope.diary.write(Line {
                     number: revision,
-                    node: format!("{role}/{id}"),
+                    node: contract::node::name(*role, id),
                     at_utc: received.sample.at_utc,
                     boot_id: received.sample.boot_id.clone(),
                     seq: received.sample.seq,
@@ -327,7 +325,7 @@ impl Telescope {
         };
         let nodes: BTreeMap<(Role, Name), (bool, Duration)> = self.states.values().filter_map(node).collect();
         let has_ended = !nodes.is_empty() && nodes.values().all(|(ended, _)| *ended);
-        let after = if has_ended { FORGET_AFTER } else { FORGET_SILENT_AFTER };
+        let after = if has_ended { FORGET_AFTER } else { LAST_WORD };
         let is_gone = !self.states.is_empty() && self.states.values().all(|entry| entry.age(now) > after);
         // The last word of a role says that its silence is no fault: it stays as long as the telescope.
         let goes_on = |wanted: Role| {
@@ -336,7 +334,7 @@ impl Telescope {
         self.states.retain(|_, entry| match &entry.key {
             Key::Node(_, role, id, _) => match nodes.get(&(*role, id.clone())) {
                 Some((true, _)) => entry.age(now) <= FORGET_AFTER || !goes_on(*role),
-                Some((false, _)) | None => entry.age(now) <= FORGET_SILENT_AFTER,
+                Some((false, _)) | None => entry.age(now) <= LAST_WORD,
             },
             _ => true,
         });

@@ -44,7 +44,7 @@ impl Reports {
 
     /// A node ended and nobody had asked it to; `next` says when it is started again, such as `in 60 s`.
     pub fn ended(&self, role: Role, id: &str, how: &str, next: &str, is_hung: bool) {
-        let (node, how, next) = (format!("{role}/{id}"), printable(how).into_owned(), next.to_owned());
+        let (node, how, next) = (contract::node::name(role, id), printable(how).into_owned(), next.to_owned());
         // A full queue is one of a bus that takes nothing; the console has the line.
         let _ = self.0.try_send(End { node, how, next, is_hung });
     }

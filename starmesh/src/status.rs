@@ -317,7 +317,7 @@ impl Status {
     }
 
     fn node_names(&self) -> String {
-        let nodes: Vec<String> = self.nodes.iter().map(|(role, id)| format!("{role}/{id}")).collect();
+        let nodes: Vec<String> = self.nodes.iter().map(|(role, id)| contract::node::name(*role, id)).collect();
         if nodes.is_empty() { "none".to_owned() } else { nodes.join(", ") }
     }
 

@@ -50,7 +50,7 @@ pub async fn unanswered(address: &Address, bus: &Bus, join: &Join) -> anyhow::Er
     }
     let known = known(bus).await;
     if known.contains(address) {
-        let answering: Vec<String> = nodes.into_iter().map(|(role, id)| format!("{role}/{id}")).collect();
+        let answering: Vec<String> = nodes.into_iter().map(|(role, id)| contract::node::name(role, id)).collect();
         let answering = match answering.is_empty() {
             true => String::new(),
             false => format!(" (of it there answer: {})", answering.join(", ")),

@@ -36,6 +36,7 @@ pub mod header;
 mod hooks;
 mod host;
 mod imaging;
+mod limits;
 mod names;
 mod nearest;
 mod network_archive;

@@ -76,8 +76,8 @@ pub fn fallen_silent(node: &str, host: &str) -> String {
     format!("{node}{host} has fallen silent")
 }
 
-/// The instance of that alert for a node of the own telescope, the same from whoever notices it: one silent node is one alert.
-pub fn silent_instance(role: Role, id: &str) -> String {
+/// A node of a telescope as `ROLE/NODE`: so logs, lists and the alerts about it name it, the same from whoever notices it.
+pub fn name(role: Role, id: impl Display) -> String {
     format!("{role}/{id}")
 }
 

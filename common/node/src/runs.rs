@@ -98,7 +98,7 @@ pub(crate) async fn notice(node: &Node) {
     }
     let how = "the run before this one ended without being asked to: by a signal, an error, or with its machine";
     tracing::warn!("{how}");
-    let instance = format!("{}/{}", node.role, node.id);
+    let instance = contract::node::name(node.role, &node.id);
     while ends.are_many(now_s()) {
         let cause = format!(
             "the {} node {} ended {MANY} times or more within {} min; {how}",

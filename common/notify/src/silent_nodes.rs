@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use bus::{Catch, MachineTime};
 use config::Observatory;
-use contract::node::{NodeState, fallen_silent, silent_instance};
+use contract::node::{NodeState, fallen_silent};
 use contract::observatory::AlertKind;
 use contract::{Key, NodeTopic, Role, Topic};
 use node::{Looks, Node, NodeAlerts, now_s};
@@ -106,7 +106,7 @@ fn name(key: &Key, own: &Key) -> Option<(String, String)> {
 
 /// The instance of an alert about a node of the own telescope, and that node in words.
 pub(crate) fn of_telescope(role: Role, id: &str) -> (String, String) {
-    (silent_instance(role, id), format!("the {role} node {id}"))
+    (contract::node::name(role, id), format!("the {role} node {id}"))
 }
 
 /// The nodes of the own telescope that ought to run: those that its file names, and that `starmesh up` starts beside this

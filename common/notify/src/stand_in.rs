@@ -1,20 +1,23 @@
 //! Sends in the place of an observatory node that fell silent.
 
+mod observatories;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{Catch, MachineTime};
-use contract::node::{NodeState, fallen_silent};
-use contract::observatory::{AlertKind, Alerts, LAST_WORD, merge};
-use contract::{Address, BootId, Key, Name, NodeTopic, Part, Role, Scalar, Stamped, Topic};
+use contract::node::NodeState;
+use contract::observatory::{AlertKind, Alerts, merge};
+use contract::{Address, Key, Name, NodeTopic, Part, Role, Scalar, Topic};
 use node::Node;
 use tokio::sync::watch;
 use units::Utc;
 
+use self::observatories::{Observatories, Presence};
 use crate::push::Subscriptions;
 use crate::sending::{keep_pushing, keep_sending};
-use crate::silent_nodes::{LOST, keep_noticing_silence, of_telescope};
+use crate::silent_nodes::{LOST, keep_noticing_silence};
 
 /// Alerts are published every 10 s; a node that is silent for longer than this is away.
 const SILENCE: Duration = Duration::from_secs(60);
@@ -22,9 +25,6 @@ const SILENCE: Duration = Duration::from_secs(60);
 /// The observatory node that returns must receive the alert that it was missed, so that it can report the end to
 /// people.
 const HOLD: Duration = Duration::from_secs(30);
-/// An observatory node that never published since this node began has so long to start, on a busy machine and with its first
-/// look at the devices.
-const START: Duration = Duration::from_secs(60);
 /// The mailboxes of this node begin before the alert about the silence is raised: for alerts from before their time they wait
 /// for what others have sent.
 const FIRST_BEGIN: Duration = Duration::from_secs(1);
@@ -69,106 +69,6 @@ pub async fn keep_substituting(node: Node, subscriptions: Option<Arc<Subscriptio
         result = pushing => result,
         result = keep_noticing_silence(node.clone(), || *is_silent.borrow()) => result,
         result = keep_watching(&node, timeout, &shown, &followed, &silent) => result,
-    }
-}
-
-/// Whether the observatory nodes of a telescope send alerts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Presence {
-    /// One does.
-    Sends,
-    /// None does, and that is no fault: they were stopped in good order, or the devices are shared and have none.
-    Absent,
-    /// None has published for too long.
-    Silent,
-}
-
-/// What is known of the observatory nodes of a telescope. Pure: time comes in.
-struct Observatories {
-    /// They are silent after this; never where nobody stands in.
-    timeout: Option<Duration>,
-    began: MachineTime,
-    /// When none sent last.
-    last_away: Option<MachineTime>,
-    /// Shared devices have none.
-    is_shared: bool,
-    /// The newest state of each that has published one.
-    seen: BTreeMap<Name, SeenObservatory>,
-}
-
-struct SeenObservatory {
-    boot_id: BootId,
-    state: NodeState,
-    arrived: MachineTime,
-}
-
-impl Observatories {
-    fn take(&mut self, id: Name, Stamped { boot_id, body, .. }: &Stamped<NodeState>, arrived: MachineTime) {
-        if self.seen.len() < MOST_NODES || self.seen.contains_key(&id) {
-            self.seen.insert(id, SeenObservatory { boot_id: boot_id.clone(), state: body.clone(), arrived });
-        }
-    }
-
-    /// Causes by instance. Of those that are to run, the ones that publish no more: the incarnation `last` that published
-    /// alerts last, and those without a state for too long. Where that shows none, what was found `before` stands: a node
-    /// that is started again publishes its state first. None is named only because others are not known.
-    fn silent(
-        &self,
-        before: &BTreeMap<String, String>,
-        last: Option<&BootId>,
-        now: MachineTime,
-    ) -> BTreeMap<String, String> {
-        let runs = || self.seen.iter().filter(|(_, seen)| !seen.state.ended_well());
-        let is_silent = |seen: &SeenObservatory| Some(&seen.boot_id) == last || now.since(seen.arrived) > LOST;
-        let alert = |id: &str, host: &str| {
-            let (instance, words) = of_telescope(Role::Observatory, id);
-            (instance, fallen_silent(&words, host))
-        };
-        let silent = runs().filter(|(_, seen)| is_silent(seen));
-        let silent: BTreeMap<_, _> = silent.map(|(id, seen)| alert(id.as_str(), &seen.state.host)).collect();
-        if !silent.is_empty() {
-            return silent;
-        }
-        if !before.is_empty() {
-            return before.clone();
-        }
-        let names: Vec<&str> = runs().map(|(id, _)| id.as_str()).collect();
-        if names.is_empty() {
-            return [alert(config::MAIN_NODE, "")].into();
-        }
-        let names = names.join(", ");
-        let cause = format!("no observatory node publishes alerts, although there are states of {names}");
-        [(Role::Observatory.to_string(), cause)].into()
-    }
-
-    /// Has the incarnation that publishes alerts received what another node published last, which arrived at `last`? What
-    /// is older than [`LAST_WORD`] is kept by nobody.
-    fn has_heard(&self, sender: Option<&BootId>, last: MachineTime, now: MachineTime) -> bool {
-        let its = self.seen.values().find(|seen| Some(&seen.boot_id) == sender);
-        let has_received = |seen: &SeenObservatory| seen.state.has_heard(now.since(seen.arrived), now.since(last));
-        now.since(last) > LAST_WORD || its.is_some_and(has_received)
-    }
-
-    /// By the arrival of the newest alerts that one of them published.
-    fn presence(&self, newest: Option<MachineTime>, now: MachineTime) -> Presence {
-        let Some(timeout) = self.timeout else { return Presence::Sends };
-        if self.is_shared || (!self.seen.is_empty() && self.seen.values().all(|seen| seen.state.ended_well())) {
-            return Presence::Absent;
-        }
-        let is_silent = match newest {
-            Some(arrived) => now.since(arrived) >= timeout,
-            None => now.since(self.began) >= timeout.max(START),
-        };
-        if is_silent { Presence::Silent } else { Presence::Sends }
-    }
-
-    /// Has the one that sends received all that other nodes report? One that returns has to receive first what was raised meanwhile: to
-    /// whoever follows at any time it would be over, and raised again.
-    fn knows_all(&mut self, presence: Presence, now: MachineTime) -> bool {
-        if presence != Presence::Sends {
-            self.last_away = Some(now);
-        }
-        self.last_away.is_none_or(|at| now.since(at) >= HOLD)
     }
 }
 
@@ -352,7 +252,8 @@ fn in_its_place(active: Alerts, last: Alerts, now: Utc) -> Alerts {
 #[cfg(test)]
 mod tests {
     use contract::node::Stopped;
-    use contract::observatory::Alert;
+    use contract::observatory::{Alert, LAST_WORD};
+    use contract::{BootId, Stamped};
 
     use super::*;
 

@@ -44,6 +44,12 @@ impl CurrentVerdict {
         Self { state, judged: now, settled: false, keeps_shut: Vec::new(), ahead_s: 0.0 }
     }
 
+    /// Whether a row may begin as far as this is known: one that needs no sky does not in the place of one that only waits
+    /// for the first verdict of this node.
+    pub fn lets_begin(&self, needs_safe: bool) -> bool {
+        self.settled || needs_safe
+    }
+
     /// A judgement as it holds after this verdict: an unsafe one stays unsafe over what was missed, a safe one does not
     /// end for it. Before the first inputs have come, none is known that could stay.
     pub fn hold(&self, mut judgement: Judgement) -> Judgement {
@@ -132,6 +138,14 @@ fn in_words(reasons: &[Unsafe]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn before_the_first_verdict_no_row_begins_in_the_place_of_one_that_waits_for_it() {
+        let mut verdict = CurrentVerdict::none(MachineTime::from_boot(Duration::ZERO), Utc::EPOCH);
+        assert_eq!([true, false].map(|needs_safe| verdict.lets_begin(needs_safe)), [true, false]);
+        verdict.settled = true;
+        assert_eq!([true, false].map(|needs_safe| verdict.lets_begin(needs_safe)), [true, true]);
+    }
 
     #[test]
     fn a_verdict_that_stays_keeps_its_beginning_and_a_settled_one_stays_settled() {

@@ -230,10 +230,8 @@ impl Runner {
         let machine = self.tools.authority.node.bus.clock().machine();
         // A number identifies whose frames they are, so a row waits for one that began at its place.
         let is_taken = |index| self.begun.values().any(|begun| begun.number == number(index));
-        // Not in the place of a row that only waits for the first verdict of this node.
-        let is_judged = self.tools.authority.verdict.borrow().settled;
         let may = |index, row: &Row| {
-            (is_judged || row.action.needs().safe)
+            self.tools.authority.verdict.borrow().lets_begin(row.action.needs().safe)
                 && !self.rests.rests(&row.id, machine)
                 && !is_taken(index)
                 && self.tools.authority.objection_to_begin(row).is_none()
